@@ -1,0 +1,394 @@
+"""Zoned blocks: constant-strain tetrahedra, the gridpoints are the unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from fdem.blocks.masses import InertiaCorrection, block_moments, lumped_moments, row_sum_masses, voronoi_masses
+from fdem.blocks.zoneforces import LargeStrain, SmallStrain, elasticity, voigt_strain
+from fdem.errors import MeshError, SceneError
+from fdem.kernels import corotated, stiffness, zones
+
+__all__ = ["ZonedBlocks"]
+
+Array = Any
+
+_SWEEPS = 12  # power sweeps of the frequency bound: 0.75 of the true step becomes about 0.95
+_MASS_RULES = ("voronoi", "row-sum", "inertia-matched")
+
+
+class ZonedBlocks:
+    """All zoned blocks of a model.
+
+    Parameters
+    ----------
+    X : (n, 3) array
+        Reference positions of the batch's gridpoints [m].
+    zones : (m, 4) int array
+        Global gridpoint numbers of the zones, sorted by block, positively oriented.
+    zone_start, gp_start : (n_blocks + 1,) int arrays
+        Zones and (global) gridpoints of every block.
+    density : (n_blocks,) or (m,) array
+        [kg/m^3], per block or per zone.
+    lam, mu : (n_blocks,) arrays
+        Lame constants [Pa].
+    large : (n_blocks,) bool array
+        True: St. Venant-Kirchhoff, exact at any rotation; False: constant stiffness in a frame that rotates
+        with the block, for small strain.
+    mass : sequence of str
+        ``"voronoi"``, ``"row-sum"`` or ``"inertia-matched"`` for every block.
+    dofs, coords, gridpoints : slice
+        The batch's share of v, of q and of x.
+    stress0 : (m, 6) array, optional
+        In-situ stress in the reference configuration (2nd Piola-Kirchhoff), xx yy zz yz zx xy [Pa].
+    threads : int, optional
+        Threads for the internal force; the bits do not depend on it.
+
+    Attributes
+    ----------
+    gp_mass : (n,) array
+        Lumped masses [kg].
+    gravity_mass : (n,) array
+        Row sums of the mass matrix [kg]: what gravity acts on; `gp_mass` unless inertia-matched.
+    zone_volume : (m,) array
+        [m^3].
+    block_mass : (n_blocks,) array
+        Exact masses [kg].
+    inertia_ratio : (n_blocks,) array
+        Polar moment of the mass matrix about the exact centroid over the exact one [-].
+    centre_shift : (n_blocks,) array
+        Distance of the gridpoint masses' centre from the exact one over the cube root of the volume [-].
+    limiting_gridpoint : (n_blocks,) int array
+        Global gridpoint that limits the step of each block, after `frequency_bound`.
+
+    Notes
+    -----
+    Gradients and volumes are closed forms (scikit-fem takes 20-40 us a zone to give the same numbers, and 1 s to be
+    imported); where a stiffness matrix is needed, scikit-fem assembles it.
+    """
+
+    has_internal = True
+
+    def __init__(
+        self,
+        X: Array,
+        zones: Array,
+        zone_start: Array,
+        gp_start: Array,
+        density: Array,
+        lam: Array,
+        mu: Array,
+        large: Array,
+        mass: Sequence[str],
+        dofs: slice,
+        coords: slice,
+        gridpoints: slice,
+        stress0: Array | None = None,
+        threads: int = 1,
+    ) -> None:
+        self.dofs, self.coords, self.gridpoints = dofs, coords, gridpoints
+        self.threads = max(1, int(threads or 1))
+        self._pool: ThreadPoolExecutor | None = None
+        n = gridpoints.stop - gridpoints.start
+        X = np.asarray(X, dtype=np.float64)
+        self.X = np.ascontiguousarray(X if X.shape[0] == n else X[gridpoints])
+        self.zone_start = np.ascontiguousarray(zone_start, dtype=np.int32)
+        self._start = np.ascontiguousarray(np.asarray(gp_start) - gridpoints.start, dtype=np.int32)
+        self._nodes = np.ascontiguousarray(np.asarray(zones) - gridpoints.start, dtype=np.int32)
+        self.lam, self.mu = np.asarray(lam, dtype=np.float64), np.asarray(mu, dtype=np.float64)
+        self.large = np.asarray(large, dtype=bool)
+        self.n_blocks = self.large.size
+        self.zone_block = np.repeat(np.arange(self.n_blocks), np.diff(self.zone_start))
+        m = self._nodes.shape[0]
+        self.gradients, self.zone_volume = np.empty((m, 9)), np.empty(m)
+        _shape_gradients(self.X, self._nodes, self.gradients, self.zone_volume)
+        if not np.all(self.zone_volume > 0.0):
+            zone = int(np.argmin(self.zone_volume > 0.0))
+            block = int(self.zone_block[zone])
+            local = zone - int(self.zone_start[block])
+            raise MeshError(f"zoned block {block}: zone {local} has volume {self.zone_volume[zone]:.3g} m^3, must be > 0")
+        self.block_volume = np.add.reduceat(self.zone_volume, self.zone_start[:-1])
+        self._set_masses(np.asarray(density, dtype=np.float64), list(mass))
+        self._coupling: tuple[Array, Array, Array, Array] | None = None
+        self._terms: list[LargeStrain | SmallStrain] = []
+        self.set_initial_stress(stress0)
+
+    def set_initial_stress(self, stress0: Array | None) -> None:
+        """Choose the in-situ stress of the reference configuration (m, 6) [Pa]; None: stress-free."""
+        self.stress0 = None if stress0 is None else np.ascontiguousarray(stress0, dtype=np.float64)
+        self._terms = []
+        if self.large.any():
+            self._terms.append(LargeStrain(self, self.large[self.zone_block]))
+        if not self.large.all():
+            self._terms.append(SmallStrain(self, ~self.large))
+
+    def _set_masses(self, density: Array, rules: list[str]) -> None:
+        for k, rule in enumerate(rules):
+            if rule not in _MASS_RULES:
+                raise SceneError(f"zoned block {k}: mass={rule!r}; allowed: {', '.join(map(repr, _MASS_RULES))}")
+        per_zone = density if density.size == self.zone_volume.size and density.size != self.n_blocks else None
+        zone_density = density[self.zone_block] if per_zone is None else per_zone
+        zone_mass = zone_density * self.zone_volume
+        n = self.X.shape[0]
+        chosen = np.array(rules)
+        self.gp_mass = row_sum_masses(self._nodes, zone_mass, n)
+        voronoi = np.flatnonzero(chosen == "voronoi")
+        if voronoi.size:
+            masses = voronoi_masses(self.X, self._nodes, zone_density, self._start, self.zone_start, voronoi)
+            rows = np.isin(np.repeat(np.arange(self.n_blocks), np.diff(self._start)), voronoi)
+            self.gp_mass[rows] = masses[rows]
+        centre = 0.25 * self.X[self._nodes].sum(axis=1) * zone_mass[:, None]
+        self.block_mass = np.add.reduceat(zone_mass, self.zone_start[:-1])
+        self.centroid = np.add.reduceat(centre, self.zone_start[:-1], axis=0) / self.block_mass[:, None]
+        exact = block_moments(self.X, self._nodes, zone_mass, self.zone_start, self.centroid)
+        lumped = lumped_moments(self.X, self.gp_mass, self._start, self.centroid)
+        matched = np.flatnonzero(chosen == "inertia-matched")
+        self._matched = matched
+        self._correction: InertiaCorrection | None = None
+        self.gravity_mass = self.gp_mass
+        if matched.size:
+            self._correction = InertiaCorrection.build(
+                self.X, self.gp_mass, self._start, self.centroid, exact, matched
+            )
+            lumped[matched] = exact[matched]
+            self.gravity_mass = self.multiply_mass(np.ones((n, 3)))[:, 0].copy()
+        second = np.array([1, 2, 3])
+        self.inertia_ratio = lumped[:, second, second].sum(axis=1) / exact[:, second, second].sum(axis=1)
+        shift = np.linalg.norm(lumped[:, 0, 1:] / lumped[:, :1, 0], axis=1)
+        self.centre_shift = shift / np.cbrt(self.block_volume)
+
+    # positions: the gridpoints are the unknowns, q and x share memory
+
+    def place(self, q: Array, x: Array) -> None:
+        """Write positions (n_gp, 3) of this batch's gridpoints: q itself."""
+        target = x[self.gridpoints]
+        source = q[self.coords].reshape(-1, 3)
+        if not np.shares_memory(target, source):
+            target[:] = source
+
+    def push(self, q: Array, v: Array, xdot: Array) -> None:
+        """Write velocities of gridpoints (n_gp, 3) [m/s]."""
+        xdot[self.gridpoints] = v[self.dofs].reshape(-1, 3)
+
+    def pull(self, q: Array, f_gp: Array, f: Array) -> None:
+        """Add gridpoint forces (n_gp, 3) to generalised forces (n_dofs,) [N]."""
+        f[self.dofs] += f_gp[self.gridpoints].ravel()
+
+    def advance(self, q: Array, v: Array, dt: float) -> None:
+        """``q += dt v``."""
+        q[self.coords] += dt * v[self.dofs]
+
+    # forces
+
+    def internal(self, x: Array, f: Array) -> None:
+        """Subtract internal forces (n_dofs,) [N] at the positions x (n_gp, 3) [m]."""
+        local, force = x[self.gridpoints], f[self.dofs].reshape(-1, 3)
+        for term in self._terms:
+            term.subtract_force(local, force)
+
+    def weight(self, g: Array, f: Array) -> None:
+        """Add weights M g for the gravity g (3,) [m/s^2]."""
+        f[self.dofs].reshape(-1, 3)[:] += self.gravity_mass[:, None] * np.asarray(g)
+
+    def accelerate(self, q: Array, f: Array, a: Array, scaled: Array | None = None) -> None:
+        """Write ``a = M^-1 f``; `scaled` (n,) replaces the masses [kg] (relaxation)."""
+        force, result = f[self.dofs].reshape(-1, 3), a[self.dofs].reshape(-1, 3)
+        if scaled is not None:
+            np.divide(force, scaled[:, None], out=result)
+            return
+        np.divide(force, self.gp_mass[:, None], out=result)
+        if self._correction is not None:
+            self._correction.add_inverse(force, result)
+
+    def multiply_mass(self, v: Array) -> Array:
+        """Return M v (n, 3) for velocities or accelerations v (n, 3) of this batch."""
+        result = self.gp_mass[:, None] * v
+        if self._correction is not None:
+            self._correction.add_mass(v, result)
+        return result
+
+    # energies
+
+    def kinetic(self, q: Array, v: Array) -> float:
+        """Kinetic energy [J]."""
+        velocity = v[self.dofs].reshape(-1, 3)
+        return float(0.5 * np.sum(velocity * self.multiply_mass(velocity)))
+
+    def strain_energy(self, x: Array) -> float:
+        """Strain energy [J]; with in-situ stress, counted from the reference configuration."""
+        local = x[self.gridpoints]
+        return float(sum(term.energy(local) for term in self._terms))
+
+    def potential(self, g: Array, x: Array, q: Array) -> float:
+        """Potential energy of gravity ``-sum m g.x`` [J]."""
+        return -float(np.sum(self.gravity_mass * (x[self.gridpoints] @ np.asarray(g, dtype=np.float64))))
+
+    # stable step
+
+    def _couple(self) -> tuple[Array, Array, Array, Array]:
+        """Norms of the stiffness blocks at the reference configuration, as a sparse symmetric pattern."""
+        if self._coupling is None:
+            self._coupling = _coupling_norms(
+                self._nodes, self.gradients, self.zone_volume, self.lam[self.zone_block], self.mu[self.zone_block],
+                self.X.shape[0],
+            )
+        return self._coupling
+
+    def frequency_bound(self, q: Array, x: Array, k_gp: Array) -> Array:
+        """Upper bounds of omega^2 per block (n_blocks,) [1/s^2], contact stiffness k_gp (n_gp,) [N/m] included."""
+        row_start, column, value, diagonal = self._couple()
+        n = self.X.shape[0]
+        bound, worst = np.empty(self.n_blocks), np.empty(self.n_blocks, dtype=np.int64)
+        k_local = np.ascontiguousarray(k_gp[self.gridpoints], dtype=np.float64)
+        stiffness.perron_bounds(
+            row_start, column, value, diagonal, self.gp_mass, k_local, self._start, _SWEEPS, np.empty(n), np.empty(n),
+            bound, worst,
+        )
+        self.limiting_gridpoint = worst + self.gridpoints.start
+        if self._correction is not None:
+            b = self._matched
+            largest = self.block_volume[b] * np.maximum(3.0 * self.lam[b] + 2.0 * self.mu[b], 2.0 * self.mu[b])
+            bound[b] += self._correction.frequency_bound(largest, k_local[self._correction.rows])
+        return bound
+
+    def relaxation_mass(self, q: Array, x: Array, k_gp: Array) -> Array:
+        """Fictitious masses (n,) with which no frequency exceeds 1 rad/s: row sums of stiffness norms."""
+        row_start, _, value, diagonal = self._couple()
+        sums = np.add.reduceat(value, row_start[:-1])
+        return diagonal + sums + k_gp[self.gridpoints]
+
+    # recovery
+
+    def first_inverted(self, x: Array) -> tuple[int, int] | None:
+        """Return (block, zone of that block) of the first zone turned inside out, or None."""
+        zone = int(zones.first_inverted(x[self.gridpoints], self._nodes))
+        if zone < 0:
+            return None
+        block = int(self.zone_block[zone])
+        return block, zone - int(self.zone_start[block])
+
+    def deformation(self, x: Array) -> Array:
+        """Deformation gradients of the zones (m, 3, 3)."""
+        F = np.empty((self._nodes.shape[0], 3, 3))
+        zones.deformation(x[self.gridpoints], self._nodes, self.gradients, F)
+        return F
+
+    def _rotations(self, F: Array) -> Array:
+        R = np.empty_like(F)
+        corotated.polar_rotations(F, R)
+        return R
+
+    def _strained(self, x: Array) -> tuple[Array, Array, Array]:
+        """F, the rotation and the material strain of every zone, as its block's formulation measures them."""
+        F = self.deformation(x)
+        R = self._rotations(F)
+        strain = 0.5 * (np.swapaxes(F, 1, 2) @ F - np.eye(3))
+        for term in self._terms:
+            if isinstance(term, SmallStrain):
+                term.override(x[self.gridpoints], F, R, strain)
+        return F, R, strain
+
+    def zone_strain(self, x: Array) -> Array:
+        """Strain of the zones (m, 6), xx yy zz yz zx xy in global axes, engineering shear.
+
+        Green-Lagrange strain turned to the present axes, ``R E R^T``; for ``strain="small"`` the linear strain in
+        the frame of the block, turned alike.
+        """
+        _, R, strain = self._strained(x)
+        return voigt_strain(R @ strain @ np.swapaxes(R, 1, 2))
+
+    def zone_stress(self, x: Array) -> Array:
+        """Cauchy stress of the zones (m, 6), xx yy zz yz zx xy in global axes, tension positive [Pa]."""
+        F, R, strain = self._strained(x)
+        material = elasticity(strain, self.lam[self.zone_block], self.mu[self.zone_block])
+        if self.stress0 is not None:
+            material += _tensor(self.stress0)
+        large = self.large[self.zone_block][:, None, None]
+        carrier = np.where(large, F, R)
+        cauchy = carrier @ material @ np.swapaxes(carrier, 1, 2)
+        cauchy /= np.where(large[:, 0, 0], np.linalg.det(F), 1.0)[:, None, None]
+        return cauchy[:, [0, 1, 2, 1, 2, 0], [0, 1, 2, 2, 0, 1]]
+
+    def zone_rotation(self, x: Array) -> Array:
+        """Rotation vectors of the zones (m, 3) [rad], polar decomposition of the deformation gradient."""
+        return _rotation_vectors(self._rotations(self.deformation(x)))
+
+    def local_range(self, x: Array) -> tuple[Array, Array]:
+        """Largest strain component and largest rotation [rad] against the block's frame, per block.
+
+        What `strain="small"` neglects; 2 % is a sensible limit for both. Zeros for ``strain="large"``.
+        """
+        strain, rotation = np.zeros(self.n_blocks), np.zeros(self.n_blocks)
+        for term in self._terms:
+            if isinstance(term, SmallStrain):
+                term.local_range(x[self.gridpoints], self.deformation(x), strain, rotation)
+        return strain, rotation
+
+    def stiffness(self) -> Any:
+        """Return K (3n, 3n), scipy CSR, of linear elasticity at the reference configuration, from scikit-fem [N/m]."""
+        from fdem.blocks.assembly import elastic_stiffness
+
+        block = self.zone_block
+        return elastic_stiffness(self.X, self._nodes, self.lam[block], self.mu[block])
+
+    def executor(self) -> ThreadPoolExecutor:
+        """Return the pool of helper threads, started at the first call."""
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="fdem-zones")
+        return self._pool
+
+
+def _shape_gradients(X: Array, nodes: Array, gradients: Array, volume: Array) -> None:
+    zones.shape_gradients(X, nodes, gradients, volume)
+
+
+def _tensor(voigt: Array) -> Array:
+    """Symmetric tensors (m, 3, 3) of stresses (m, 6) xx yy zz yz zx xy."""
+    return voigt[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
+
+
+def _rotation_vectors(R: Array) -> Array:
+    """Rotation vectors of rotation matrices (m, 3, 3), through the largest quaternion component."""
+    diagonal = R[:, [0, 1, 2], [0, 1, 2]]
+    trace = diagonal.sum(axis=1)
+    # 4 q q^T: any of its rows is a multiple of the quaternion (w, x, y, z)
+    outer = np.empty((R.shape[0], 4, 4))
+    outer[:, 0, 0] = 1.0 + trace
+    outer[:, [1, 2, 3], [1, 2, 3]] = 1.0 - trace[:, None] + 2.0 * diagonal
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), start=1):
+        outer[:, 0, k] = outer[:, k, 0] = R[:, i, j] - R[:, j, i]
+    for (a, b), (i, j) in (((1, 2), (0, 1)), ((1, 3), (0, 2)), ((2, 3), (1, 2))):
+        outer[:, a, b] = outer[:, b, a] = R[:, i, j] + R[:, j, i]
+    row = np.argmax(outer[:, [0, 1, 2, 3], [0, 1, 2, 3]], axis=1)
+    q = outer[np.arange(R.shape[0]), row]
+    q *= np.where(q[:, :1] < 0.0, -1.0, 1.0)
+    sine = np.linalg.norm(q[:, 1:], axis=1)
+    angle = 2.0 * np.arctan2(sine, q[:, 0])
+    factor = np.divide(angle, sine, out=np.full_like(sine, 0.0), where=sine > 0.0)
+    return q[:, 1:] * factor[:, None]
+
+
+def _coupling_norms(
+    nodes: Array, gradients: Array, volume: Array, lam: Array, mu: Array, n: int
+) -> tuple[Array, Array, Array, Array]:
+    """Spectral norms of the off-diagonal 3x3 blocks in CSR form and of the diagonal blocks [N/m]."""
+    pairs = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+    ends = nodes[:, pairs].astype(np.int64)
+    keys, edges = np.unique(ends.min(axis=2) * n + ends.max(axis=2), return_inverse=True)
+    blocks, diagonal = np.zeros((keys.size, 9)), np.zeros((n, 9))
+    stiffness.coupling_blocks(
+        nodes, edges.reshape(-1, 6).astype(np.int32), gradients, volume, lam, mu, diagonal, blocks
+    )
+    norms, diagonal_norms = np.empty(keys.size), np.empty(n)
+    stiffness.spectral_norms(blocks, norms)
+    stiffness.spectral_norms(diagonal, diagonal_norms)
+    low, high = keys // n, keys % n
+    row = np.concatenate([low, high])
+    order = np.argsort(row, kind="stable")
+    row_start = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=n))]).astype(np.int32)
+    column = np.concatenate([high, low])[order].astype(np.int32)
+    return row_start, column, np.concatenate([norms, norms])[order], diagonal_norms

@@ -1,0 +1,202 @@
+"""The two ways a zoned block resists deformation: large strain zone by zone, small strain in a block frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fdem.kernels import corotated, zones
+
+if TYPE_CHECKING:
+    from fdem.blocks.zoned import ZonedBlocks
+
+__all__ = ["LargeStrain", "SmallStrain", "elasticity", "voigt_strain"]
+
+Array = Any
+
+_CHUNK_ZONES = 4096  # a chunk's window stays in the fast cache
+_CHUNK_ROWS = 1024
+_THREAD_ZONES = 16384  # below this, waking a thread costs more than it saves
+
+
+def elasticity(strain: Array, lam: Array, mu: Array) -> Array:
+    """Stresses ``lam tr(e) I + 2 mu e`` (m, 3, 3) [Pa] of strains (m, 3, 3)."""
+    trace = np.trace(strain, axis1=1, axis2=2)
+    return (lam * trace)[:, None, None] * np.eye(3) + 2.0 * mu[:, None, None] * strain
+
+
+def voigt_strain(strain: Array) -> Array:
+    """Strain vectors (m, 6) xx yy zz yz zx xy with engineering shear of tensors (m, 3, 3)."""
+    return strain[:, [0, 1, 2, 1, 2, 0], [0, 1, 2, 2, 0, 1]] * np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+
+
+def _chunks(count: int, size: int) -> Array:
+    """Boundaries (n + 1,) of equal chunks of about `size` items: fixed by the model, not by the threads."""
+    n = max(1, -(-count // size))
+    return (np.arange(n + 1) * count // n).astype(np.int32)
+
+
+def _windows(first: Array, last: Array) -> tuple[Array, Array, Array]:
+    """First row of every window, where each starts in the buffer, and the buffer."""
+    start = np.concatenate([[0], np.cumsum(last - first)]).astype(np.int32)
+    return first.astype(np.int32), start, np.empty((int(start[-1]), 3))
+
+
+def _share(owner: ZonedBlocks, n_chunks: int, work: Callable[[int, int], None]) -> None:
+    """Run ``work(lo, hi)`` on equal shares of the chunks, one per thread, the first on this thread."""
+    cuts = [n_chunks * k // owner.threads for k in range(owner.threads + 1)]
+    pool = owner.executor()
+    others = [pool.submit(work, cuts[k], cuts[k + 1]) for k in range(1, owner.threads)]
+    work(cuts[0], cuts[1])
+    for other in others:
+        other.result()
+
+
+class LargeStrain:
+    """St. Venant-Kirchhoff zones of some blocks of a batch.
+
+    Parameters
+    ----------
+    owner : ZonedBlocks
+        The batch.
+    member : (m,) bool array
+        Which of its zones belong here.
+    """
+
+    def __init__(self, owner: ZonedBlocks, member: Array) -> None:
+        self._owner = owner
+        block = owner.zone_block[member]
+        volume = owner.zone_volume[member]
+        self.nodes = np.ascontiguousarray(owner._nodes[member])
+        self.table = np.column_stack([owner.gradients[member], owner.lam[block] * volume, owner.mu[block] * volume])
+        if owner.stress0 is None:
+            self.stress0 = np.empty((0, 6))
+        else:
+            self.stress0 = np.ascontiguousarray(owner.stress0[member] * volume[:, None])
+        self.chunk_start = _chunks(self.nodes.shape[0], _CHUNK_ZONES)
+        first = np.minimum.reduceat(self.nodes.min(axis=1), self.chunk_start[:-1])
+        last = np.maximum.reduceat(self.nodes.max(axis=1), self.chunk_start[:-1]) + 1
+        self.chunk_gp, self.window_start, self.windows = _windows(first, last)
+        self.threaded = owner.threads > 1 and self.nodes.shape[0] >= _THREAD_ZONES
+
+    def subtract_force(self, x: Array, f: Array) -> None:
+        """``f -= internal force``, x and f (n, 3) of the batch."""
+        data = (x, self.nodes, self.table, self.stress0, self.chunk_start, self.chunk_gp, self.window_start)
+        if not self.threaded:
+            zones.stvk_force(*data, self.windows, f)
+            return
+        _share(self._owner, self.chunk_gp.size, lambda lo, hi: zones.stvk_chunks(*data, self.windows, lo, hi))
+        zones.subtract_windows(self.chunk_gp, self.window_start, self.windows, f)
+
+    def energy(self, x: Array) -> float:
+        """Strain energy [J]."""
+        return float(zones.stvk_energy(x, self.nodes, self.table, self.stress0, self.chunk_start))
+
+
+class SmallStrain:
+    """Blocks of a batch with a constant stiffness in a frame that rotates with the block.
+
+    Parameters
+    ----------
+    owner : ZonedBlocks
+        The batch.
+    member : (n_blocks,) bool array
+        Which of its blocks belong here.
+    """
+
+    def __init__(self, owner: ZonedBlocks, member: Array) -> None:
+        from fdem.blocks.assembly import elastic_stiffness, upper_block_rows
+
+        self._owner = owner
+        self.blocks = np.flatnonzero(member)
+        self.zones = np.flatnonzero(member[owner.zone_block])
+        block = owner.zone_block[self.zones]
+        self.start, self.stop = owner._start[:-1][self.blocks], owner._start[1:][self.blocks]
+        n = owner.X.shape[0]
+        K = elastic_stiffness(owner.X, owner._nodes[self.zones], owner.lam[block], owner.mu[block])
+        self.row_start, self.column, self.diagonal, self.upper = upper_block_rows(K)
+        self._set_frame(n)
+        self.prestress = np.zeros((n, 3))
+        if owner.stress0 is not None:
+            self._set_prestress(owner.stress0[self.zones] * owner.zone_volume[self.zones, None])
+        self.R, self.stretch = np.empty((self.blocks.size, 3, 3)), np.empty((self.blocks.size, 3, 3))
+        self.y, self.g = np.zeros((n, 3)), np.empty((n, 3))
+        self.chunk_start = _chunks(n, _CHUNK_ROWS)
+        reach = np.arange(n)
+        filled = np.flatnonzero(np.diff(self.row_start))
+        reach[filled] = np.maximum(filled, np.maximum.reduceat(self.column, self.row_start[filled]))
+        last = np.maximum.reduceat(reach, self.chunk_start[:-1]) + 1
+        self.chunk_row, self.window_start, self.windows = _windows(self.chunk_start[:-1], last)
+        self.threaded = owner.threads > 1 and self.zones.size >= 2 * _THREAD_ZONES
+
+    def _set_frame(self, n: int) -> None:
+        """Weights and arms of the average deformation, from quarter volumes: positive, mesh-fair."""
+        owner = self._owner
+        volume = np.bincount(
+            owner._nodes[self.zones].ravel(), np.repeat(0.25 * owner.zone_volume[self.zones], 4), minlength=n
+        )
+        self.weight, self.arm, self.X = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3))
+        for lo, hi in zip(self.start, self.stop, strict=True):
+            w = volume[lo:hi] / volume[lo:hi].sum()
+            # from a gridpoint, so that a block far from the origin keeps its digits
+            local = owner.X[lo:hi] - owner.X[lo]
+            local -= w @ local
+            D = (w[:, None] * local).T @ local
+            self.weight[lo:hi], self.X[lo:hi] = w, local
+            self.arm[lo:hi] = w[:, None] * np.linalg.solve(D, local.T).T
+
+    def _set_prestress(self, stress: Array) -> None:
+        """Constant gridpoint forces ``sum V S0 G_a`` of the in-situ stress."""
+        owner = self._owner
+        gradients = owner.gradients[self.zones].reshape(-1, 3, 3)
+        tensor = stress[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
+        forces = np.einsum("eaj,eij->eai", gradients, tensor)
+        forces = np.concatenate([-forces.sum(axis=1, keepdims=True), forces], axis=1)
+        nodes = owner._nodes[self.zones].ravel()
+        for c in range(3):
+            self.prestress[:, c] = np.bincount(nodes, forces[:, :, c].ravel(), minlength=self.prestress.shape[0])
+
+    def _product(self, x: Array) -> None:
+        """Fill frames, local displacements y and ``g = p + K y``."""
+        corotated.corotate(x, self.X, self.weight, self.arm, self.start, self.stop, self.R, self.stretch, self.y)
+        np.copyto(self.g, self.prestress)
+        data = (self.row_start, self.column, self.diagonal, self.upper, self.y)
+        partition = (self.chunk_start, self.chunk_row, self.window_start, self.windows)
+        if self.threaded:
+            _share(
+                self._owner,
+                self.chunk_row.size,
+                lambda lo, hi: corotated.block_row_chunks(*data, *partition, lo, hi),
+            )
+            corotated.add_windows(self.chunk_row, self.window_start, self.windows, self.g)
+        else:
+            corotated.block_row_product(*data, *partition, self.g)
+
+    def subtract_force(self, x: Array, f: Array) -> None:
+        """``f -= internal force``, x and f (n, 3) of the batch."""
+        self._product(x)
+        corotated.corotated_force(self.X, self.arm, self.start, self.stop, self.R, self.stretch, self.y, self.g, f)
+
+    def energy(self, x: Array) -> float:
+        """Strain energy [J]."""
+        self._product(x)
+        return float(0.5 * np.sum(self.y * (self.g + self.prestress)))
+
+    def override(self, x: Array, F: Array, R: Array, strain: Array) -> None:
+        """Replace rotation and strain of this term's zones by the block's rotation and the linear strain."""
+        corotated.corotate(x, self.X, self.weight, self.arm, self.start, self.stop, self.R, self.stretch, self.y)
+        R[self.zones] = np.repeat(self.R, np.diff(self._owner.zone_start)[self.blocks], axis=0)
+        local = np.swapaxes(R[self.zones], 1, 2) @ F[self.zones]
+        strain[self.zones] = 0.5 * (local + np.swapaxes(local, 1, 2)) - np.eye(3)
+
+    def local_range(self, x: Array, F: Array, strain: Array, rotation: Array) -> None:
+        """Write the largest strain and rotation [rad] against the frame, per block of the batch."""
+        R, linear = np.empty_like(F), np.empty_like(F)
+        self.override(x, F, R, linear)
+        local = np.swapaxes(R[self.zones], 1, 2) @ F[self.zones]
+        spin = 0.5 * np.linalg.norm((local - np.swapaxes(local, 1, 2)).reshape(-1, 9), axis=1) / np.sqrt(2.0)
+        owner_block = self._owner.zone_block[self.zones]
+        np.maximum.at(strain, owner_block, np.abs(linear[self.zones]).reshape(-1, 9).max(axis=1))
+        np.maximum.at(rotation, owner_block, spin)

@@ -1,0 +1,269 @@
+"""Moving a state from one compiled scene to another: excavation, `start=`, and files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fdem.errors import CheckpointError
+from fdem.model import Model
+from fdem.scene import boundary
+from fdem.scene.scene import Applied, Block, Gridpoint
+
+if TYPE_CHECKING:
+    from fdem.simulation import Simulation
+
+__all__ = ["Carrier", "carry", "read", "restore", "save", "transfer"]
+
+FORMAT = 1
+SCALARS = ("lag", "dt", "work", "damped")
+ARRAYS = ("q", "v", "x", "x_old")
+
+
+class Carrier:
+    """What a simulation was before it was compiled again."""
+
+    def __init__(self, sim: Simulation) -> None:
+        self.model, self.state, self.system = sim.model, sim.state, sim.system
+        self.x0, self.centroids0, self.turned = sim.x0, sim.centroids0, sim.turned
+
+    def rows(self, model: Model) -> list[tuple[int, int]]:
+        """Pairs (old row, new row) of the blocks that `model` still has."""
+        old = {name: i for i, name in enumerate(self.model.names)}
+        return [(old[name], i) for i, name in enumerate(model.names) if name in old]
+
+    def gridpoints(self, model: Model) -> np.ndarray:
+        """New number of every old gridpoint; -1 if its block is gone."""
+        number = np.full(len(self.model.X), -1, dtype=np.int64)
+        for old, new in self.rows(model):
+            start, stop = self.model.gp_range[old]
+            number[start:stop] = model.gp_range[new, 0] + np.arange(stop - start)
+        return number
+
+
+def carry(old: Carrier, sim: Simulation, *, motion: bool = True) -> None:
+    """Move positions, velocities and contact history of `old` into the newly compiled `sim`.
+
+    Parameters
+    ----------
+    old : Carrier
+        Where the state comes from.
+    sim : Simulation
+        Where it goes; matched by block name.
+    motion : bool, optional
+        Take velocities, time and the ledger's sums as well.
+
+    Raises
+    ------
+    CheckpointError
+        If a block of the same name has other gridpoints.
+    """
+    model, state = sim.model, sim.state
+    for before, after in old.rows(model):
+        a, b = slice(*old.model.gp_range[before]), slice(*model.gp_range[after])
+        if a.stop - a.start != b.stop - b.start:
+            raise CheckpointError(
+                f"block {model.names[after]!r} has {b.stop - b.start} gridpoints, the state has {a.stop - a.start}"
+            )
+        state.x[b], state.x_old[b], sim.x0[b] = old.state.x[a], old.state.x_old[a], old.x0[a]
+        sim.centroids0[after] = old.centroids0[before]
+        _carry_block(old, sim, before, after, motion)
+    if sim.system.contacts is not None and old.system.contacts is not None:
+        sim.system.contacts.adopt(old.system.contacts, np.array(old.rows(model)), old.gridpoints(model), state.x)
+    if motion:
+        for name in SCALARS:
+            setattr(sim.system, name, getattr(old.system, name))
+        state.t, state.step = old.state.t, old.state.step
+    else:
+        state.x_old[:] = state.x
+    sim.system.current = False
+
+
+def _carry_block(old: Carrier, sim: Simulation, before: int, after: int, motion: bool) -> None:
+    source, target = old.model.batch_row[before], sim.model.batch_row[after]
+    if source < 0 or target < 0 or old.model.zoned[before] != sim.model.zoned[after]:
+        return
+    if not sim.model.zoned[after]:
+        sim.state.q[7 * target : 7 * target + 7] = old.state.q[7 * source : 7 * source + 7]
+        sim.system.q0[7 * target : 7 * target + 7] = old.system.q0[7 * source : 7 * source + 7]
+        sim.turned[target] = old.turned[source]
+        a, b = 6 * source, 6 * target
+        width = 6
+    else:
+        a = old.model.deformable.dofs.start + 3 * old.model.gp_range[before, 0]
+        b = sim.model.deformable.dofs.start + 3 * sim.model.gp_range[after, 0]
+        width = 3 * int(np.diff(sim.model.gp_range[after])[0])
+        c = old.model.deformable.coords.start + 3 * old.model.gp_range[before, 0]
+        d = sim.model.deformable.coords.start + 3 * sim.model.gp_range[after, 0]
+        sim.system.q0[d : d + width] = old.system.q0[c : c + width]
+    if motion:
+        sim.state.v[b : b + width] = old.state.v[a : a + width]
+
+
+def transfer(source: Simulation, sim: Simulation) -> None:
+    """State of another simulation at the start of `sim` (see `Simulation`, `start`)."""
+    source.forces()
+    source.system.commit()
+    same = source.integrator.scaled == sim.integrator.scaled
+    carry(Carrier(source), sim, motion=same)
+    if not same:
+        sim.x0, sim.centroids0 = sim.state.x.copy(), sim.centroids()
+        sim.turned[:] = 0.0
+
+
+def save(sim: Simulation, path: str | Path) -> None:
+    """Write everything that influences the next step to one ``.npz`` file."""
+    system, state = sim.system, sim.state
+    arrays: dict[str, Any] = {name: getattr(state, name) for name in ARRAYS}
+    arrays |= {"x0": sim.x0, "centroids0": sim.centroids0, "turned": sim.turned, "q0": system.q0}
+    for name in ("elastic_old", "_load_old", "_reaction_old"):
+        if getattr(system, name) is not None:
+            arrays[name] = getattr(system, name)
+    for i, scaled in enumerate(system.scaled):
+        if scaled is not None:
+            arrays[f"scaled_{i}"] = scaled
+    if system.contacts is not None:
+        arrays |= {f"contacts_{key}": value for key, value in system.contacts.state_arrays().items()}
+    for i, (gp, forces, _, _) in enumerate(sim._releases):
+        arrays |= {f"release_gp_{i}": gp, f"release_f_{i}": forces}
+    handles = list(sim._applied)
+    head = {
+        "format": FORMAT,
+        "names": sim.model.names,
+        "t": state.t.hex(),
+        "step": state.step,
+        "step_length": float(sim.dt).hex(),
+        "stale": bool(system.stale),
+        "scalars": {name: float(getattr(system, name)).hex() for name in SCALARS},
+        "removed": sorted(sim._removed),
+        "releases": [[int(at), int(over)] for _, _, at, over in sim._releases],
+        "factors": [_factor(sim._applied[h].factor) for h in sim.scene.loads],
+        "loads": [_written(sim._applied[h]) for h in handles[len(sim.scene.loads) :]],
+        "ledger": None if sim.ledger is None else {"start": sim.ledger.start, "turned": sim.ledger.turned},
+    }
+    arrays["head"] = np.frombuffer(json.dumps(head).encode(), dtype=np.uint8)
+    try:
+        with open(path, "wb") as file:
+            np.savez(file, **arrays)
+    except OSError as error:
+        raise CheckpointError(f"save: {path}: {error}") from error
+
+
+def _factor(factor: Any) -> Any:
+    return "callable" if callable(factor) else float(factor)
+
+
+def _written(applied: Applied) -> dict[str, Any]:
+    """A load as plain data; callables are marked, a file cannot hold them."""
+    load = applied.load
+    known = type(load).__name__ in boundary.__all__
+    fields = {}
+    if known:
+        for key, value in asdict(load).items():
+            fields[key] = "callable" if callable(value) else value.tolist() if isinstance(value, np.ndarray) else value
+    return {
+        "class": type(load).__name__ if known else "callable",
+        "fields": fields,
+        "target": _target(applied.target),
+        "where": None if applied.where is None else "callable",
+        "factor": _factor(applied.factor),
+    }
+
+
+def _target(target: Any) -> Any:
+    if isinstance(target, Block):
+        return target.name
+    if isinstance(target, (list, tuple)):
+        return [_target(entry) for entry in target]
+    if isinstance(target, Gridpoint):
+        return {"near": list(target.near), "target": _target(target.target)}
+    return target
+
+
+def read(path: str | Path) -> dict[str, Any]:
+    """Arrays of a saved file, with its head decoded.
+
+    Raises
+    ------
+    CheckpointError
+        If the file is missing, damaged or of another format.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            saved: dict[str, Any] = {key: file[key] for key in file.files}
+        saved["head"] = json.loads(saved["head"].tobytes().decode())
+    except (OSError, ValueError, KeyError) as error:
+        raise CheckpointError(f"load: {path}: {error}") from error
+    if saved["head"].get("format") != FORMAT:
+        raise CheckpointError(f"load: {path}: format {saved['head'].get('format')}, expected {FORMAT}")
+    return saved
+
+
+def restore(saved: dict[str, Any], sim: Simulation) -> None:
+    """Put a saved state into a simulation of the same scene.
+
+    Raises
+    ------
+    CheckpointError
+        If the scene differs or a callable is missing.
+    """
+    head = saved["head"]
+    _restore_loads(head, sim)
+    sim._removed = frozenset(head["removed"])
+    sim._releases = [
+        (saved[f"release_gp_{i}"], saved[f"release_f_{i}"], at, over) for i, (at, over) in enumerate(head["releases"])
+    ]
+    sim._compile()
+    if sim.model.names != head["names"]:
+        other = sorted(set(sim.model.names) ^ set(head["names"]))
+        raise CheckpointError(f"load: the scene has other blocks than the file: {', '.join(other[:5]) or 'in another order'}")
+    system, state = sim.system, sim.state
+    for name in ARRAYS:
+        have, wanted = getattr(state, name), saved[name]
+        if have.shape != wanted.shape:
+            raise CheckpointError(f"load: {name} has shape {wanted.shape} in the file, {have.shape} in the scene")
+        have[:] = wanted
+    sim.x0, sim.centroids0, sim.turned = saved["x0"], saved["centroids0"], saved["turned"]
+    system.q0 = saved["q0"]
+    sim.integrator.start(system)
+    for name in ("elastic_old", "_load_old", "_reaction_old"):
+        if name in saved:
+            setattr(system, name, saved[name])
+    system.scaled = [saved.get(f"scaled_{i}") for i in range(len(system.scaled))]
+    if system.contacts is not None:
+        system.contacts.restore({k[len("contacts_") :]: v for k, v in saved.items() if k.startswith("contacts_")})
+    for name in SCALARS:
+        setattr(system, name, float.fromhex(head["scalars"][name]))
+    state.t, state.step = float.fromhex(head["t"]), int(head["step"])
+    sim.integrator.step_length = float.fromhex(head["step_length"])
+    system.stale, system.current = bool(head["stale"]), False
+    if sim.ledger is not None and head["ledger"] is not None:
+        sim.ledger.start, sim.ledger.turned = head["ledger"]["start"], head["ledger"]["turned"]
+
+
+def _restore_loads(head: dict[str, Any], sim: Simulation) -> None:
+    if len(head["factors"]) != len(sim.scene.loads):
+        raise CheckpointError(f"load: the scene has {len(sim.scene.loads)} loads, the file {len(head['factors'])}")
+    for handle, factor in zip(sim.scene.loads, head["factors"], strict=True):
+        if factor != "callable":
+            sim._applied[handle].factor = factor
+        elif not callable(handle.factor):
+            raise CheckpointError(f"load: the factor of {handle.load!r} was a function; the scene gives {handle.factor!r}")
+    for entry in head["loads"]:
+        missing = [key for key in ("class", "where", "factor") if entry[key] == "callable"]
+        missing += [key for key, value in entry["fields"].items() if value == "callable"]
+        if missing:
+            raise CheckpointError(
+                f"load: {entry['class']} was applied to the simulation with a callable ({', '.join(missing)}) "
+                "that a file cannot hold; apply it to the scene instead"
+            )
+        target = entry["target"]
+        if isinstance(target, dict):
+            target = Gridpoint(tuple(target["near"]), target["target"])
+        load = getattr(boundary, entry["class"])(**entry["fields"])
+        handle = sim.scene.applied(load, target, None, entry["factor"])
+        sim._applied[handle] = Applied(handle.load, handle.target, None, handle.factor)

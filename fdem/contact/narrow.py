@@ -1,0 +1,211 @@
+"""Narrow phase: pairs of blocks -> contact patches, and what patches keep when they are cut anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdem.contact.surface import FaceGeometry, Surfaces
+from fdem.kernels import geometry as clip
+from fdem.kernels import patches as kernels
+
+__all__ = ["Ghosts", "Patches", "cut_pairs"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+STRIP = 0.02  # -n_a.n_f below which a patch is a side strip: force only
+TRAVEL = 1e-3  # of the square root of the pair's largest patch: motion after which walls are cut anew
+LATENT_TRAVEL = 1e-4  # the same across the face, while side strips are left out
+
+
+@dataclass
+class Patches:
+    """Contact patches as flat arrays, sorted by law, pair, master face, slave face.
+
+    Every array has one row per patch, except `corners` (ragged, by `start`) and rows per contact point (three per patch):
+    `memory_old`, `w_clip`.
+    """
+
+    pair: Ints
+    face_s: Ints
+    face_m: Ints
+    start: Ints
+    corners: Array
+    margin: Array
+    gp: Ints
+    ref_points: Array
+    ref_ratio: Array
+    offset: Array
+    flags: NDArray[np.uint8]
+    limit: Array
+    law: Ints
+    prop: Ints
+    joint: Ints
+    points_old: Array
+    active_old: NDArray[np.uint8]
+    memory_old: Array
+    w_clip: Array
+    reach: Array
+    normal_reach: Array
+
+    def __len__(self) -> int:
+        return len(self.pair)
+
+    def take(self, ids: Any) -> Patches:
+        """The patches `ids` (int array), in that order."""
+        ids = np.asarray(ids, dtype=np.int64)
+        rows = (3 * ids[:, None] + np.arange(3)).ravel()
+        counts = np.diff(self.start)[ids]
+        start = np.r_[0, np.cumsum(counts)].astype(np.int32)
+        corner_ids = np.repeat(self.start[ids] - start[:-1], counts) + np.arange(start[-1])
+        out = {}
+        for f in fields(self):
+            a = getattr(self, f.name)
+            if f.name == "start":
+                out[f.name] = start
+            elif f.name == "corners":
+                out[f.name] = a[corner_ids]
+            else:
+                out[f.name] = a[rows if f.name in ("memory_old", "w_clip") else ids]
+        return Patches(**out)
+
+    @staticmethod
+    def join(a: Patches, b: Patches) -> Patches:
+        """Both, one after the other."""
+        out = {f.name: np.concatenate([getattr(a, f.name), getattr(b, f.name)]) for f in fields(a) if f.name != "start"}
+        return Patches(start=np.concatenate([a.start, b.start[1:] + a.start[-1]]).astype(np.int32), **out)
+
+    @staticmethod
+    def none(memory: int) -> Patches:
+        """No patch; `memory` columns of history."""
+        i, z = np.zeros(0, np.int32), np.zeros(0)
+        return Patches(
+            pair=i, face_s=i, face_m=i, start=np.zeros(1, np.int32), corners=np.zeros((0, 2)), margin=z,
+            gp=np.zeros((0, 7), np.int32), ref_points=np.zeros((0, 3, 2)), ref_ratio=z, offset=np.zeros((0, 3)),
+            flags=np.zeros(0, np.uint8), limit=z, law=i, prop=i, joint=i, points_old=np.zeros((0, 3, 2)),
+            active_old=np.zeros(0, np.uint8), memory_old=np.zeros((0, memory)), w_clip=np.zeros((0, 7)), reach=z,
+            normal_reach=z,
+        )  # fmt: skip
+
+
+@dataclass
+class Ghosts:
+    """Near misses of pairs without a patch: they only tell when the pair must be looked at again."""
+
+    pair: Ints = field(default_factory=lambda: np.zeros(0, np.int32))
+    gp: Ints = field(default_factory=lambda: np.zeros((0, 7), np.int32))
+    w: Array = field(default_factory=lambda: np.zeros((0, 7)))
+    reach: Array = field(default_factory=lambda: np.zeros(0))
+
+    def without(self, mask: Any) -> Ghosts:
+        """The ghosts of pairs for which `mask` (n_pairs,) is False."""
+        keep = ~np.asarray(mask, bool)[self.pair]
+        return Ghosts(self.pair[keep], self.gp[keep], self.w[np.repeat(keep, 3)], self.reach[keep])
+
+    @staticmethod
+    def join(a: Ghosts, b: Ghosts) -> Ghosts:
+        """Both."""
+        return Ghosts(*(np.concatenate([getattr(a, f.name), getattr(b, f.name)]) for f in fields(a)))
+
+
+@dataclass
+class Cut:
+    """What `cut_pairs` returns besides the patches."""
+
+    patches: Patches
+    ghosts: Ghosts
+    too_deep: Ints
+    area: Array
+    closed: Array
+    align: Array
+    depth: Array
+    plane_depth: Array
+    centre: Array
+
+
+def cut_pairs(
+    surfaces: Surfaces, geometry: FaceGeometry, which: Ints, slave: Ints, master: Ints, window: Array, x: Array,
+    offsets: Any, prune: float, memory: int,
+) -> Cut:  # fmt: skip
+    """Cut the pairs `which` (indices into slave, master, window) in the positions `x`.
+
+    Parameters
+    ----------
+    offsets : callable
+        ``offsets(pair, face_s, face_m) -> (n, 3)`` reference gaps known for patches.
+    prune : float
+        Patches smaller than this part of the pair's largest are dropped; 0 keeps all.
+    memory : int
+        Columns of history.
+    """
+    s = surfaces
+    blocks = np.unique(np.concatenate([slave[which], master[which]])).astype(np.int32)
+    geometry.refresh(s, x, blocks)
+    size = np.minimum(s.size[slave], s.size[master])[which]
+    g = geometry
+    out = clip.clip_pairs(
+        slave[which], master[which], window[which], size, int(np.diff(s.corner_start).max()),
+        s.face_start, s.corner_start, s.corner_w, s.ref, s.limit, s.convex, s.affine,
+        x, g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper, g.block_lower, g.block_upper,
+    )  # fmt: skip
+    local, face_s, face_m, start, corners, margin, miss, miss_face, too_deep = out
+    n = len(local)
+    pair = which[local].astype(np.int32)
+    gp = np.column_stack([s.ref[face_s, :3], s.ref[face_m]]).astype(np.int32)
+    p = Patches.none(memory)
+    p = Patches(
+        pair=pair, face_s=face_s, face_m=face_m, start=start, corners=corners, margin=margin, gp=gp,
+        ref_points=np.zeros((n, 3, 2)), ref_ratio=np.zeros(n), offset=offsets(pair, face_s, face_m),
+        flags=np.zeros(n, np.uint8), limit=np.minimum(s.limit[face_m], size[local]), law=np.zeros(n, np.int32),
+        prop=np.zeros(n, np.int32), joint=np.zeros(n, np.int32), points_old=np.zeros((n, 3, 2)),
+        active_old=np.zeros(n, np.uint8), memory_old=np.zeros((3 * n, memory)), w_clip=np.zeros((3 * n, 7)),
+        reach=np.zeros(n), normal_reach=np.zeros(n),
+    )  # fmt: skip
+    kernels.reference_points(start, corners, p.ref_points, p.ref_ratio)
+    sizes = [np.zeros(n) for _ in range(4)]
+    plane_depth, centre = np.zeros((n, 3)), np.zeros((n, 3))
+    kernels.measure(gp, start, corners, p.offset, x, *sizes, plane_depth, centre)
+    area, closed, align, depth = sizes
+    facing = align > STRIP
+    weight = np.where(facing, area, closed)
+    largest = np.zeros(len(which))
+    np.maximum.at(largest, local, weight)
+    keep = weight > prune * largest[local] if prune > 0.0 else np.ones(n, bool)
+    latent = np.zeros(len(which), bool)
+    latent[local[~keep & ~facing]] = True
+    nearest = miss.copy()  # the next thing to happen to a pair: a wall reached, or a face that just missed
+    np.minimum.at(nearest, local[keep], margin[keep])
+    travel = np.sqrt(np.maximum(largest, 1e-6 * np.where(np.isfinite(size), size, 0.0) ** 2))
+    p.reach[:] = (nearest + TRAVEL * travel)[local]
+    p.normal_reach[:] = np.where(latent, LATENT_TRAVEL * travel, np.inf)[local]
+    p.flags[facing] |= kernels.FACING
+    empty = np.ones(len(which), bool)
+    empty[local[keep]] = False
+    ghosts = _ghosts(s, which, empty, miss_face, nearest, travel, x, p, local, keep)
+    ids = np.flatnonzero(keep)
+    p = p.take(ids)
+    thick = s.has_behind[p.face_m]
+    kernels.weights_at(p.gp, thick, p.ref_points, x, p.w_clip)
+    return Cut(p, ghosts, which[too_deep == 1], area[ids], closed[ids], align[ids], depth[ids], plane_depth[ids], centre[ids])
+
+
+def _ghosts(
+    s: Surfaces, which: Ints, empty: Any, miss_face: Ints, nearest: Array, travel: Array, x: Array, p: Patches, local: Ints,
+    keep: Any,
+) -> Ghosts:  # fmt: skip
+    """One watcher per pair without patches: its nearest miss, or a patch that was dropped."""
+    face = miss_face.copy()
+    reach = nearest + TRAVEL * travel
+    dropped = np.flatnonzero(~keep & empty[local])
+    face[local[dropped], 0], face[local[dropped], 1] = p.face_s[dropped], p.face_m[dropped]
+    reach[local[dropped]] = LATENT_TRAVEL * travel[local[dropped]]
+    ids = np.flatnonzero(empty & (face[:, 0] >= 0))
+    gp = np.column_stack([s.ref[face[ids, 0], :3], s.ref[face[ids, 1]]]).astype(np.int32)
+    w = np.zeros((3 * len(ids), 7))
+    middle = np.full((len(ids), 3, 2), 1.0 / 3.0)
+    kernels.weights_at(gp, s.has_behind[face[ids, 1]], middle, x, w)
+    return Ghosts(which[ids].astype(np.int32), gp, w, reach[ids])

@@ -1,0 +1,347 @@
+"""Surfaces the contact layer sees: flat arrays of convex planar faces over gridpoints.
+
+Every face has three *reference gridpoints* (the largest triangle of its corners). A corner is kept as its two
+barycentric weights in that triangle, so that faces follow any affine motion exactly and clipping is planar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdem.contact.polygons import convex_faces, largest_triangle, newell
+from fdem.errors import MeshError
+from fdem.kernels import geometry as kernels
+
+__all__ = ["BlockSurface", "Surfaces"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+SHARP_ZONED = 0.9  # cosine above which two zone triangles count as one smooth surface
+SHARP_AFFINE = 1.0 - 1e-12
+DEPTH_FRACTION = 0.25  # of the local thickness: where contact stops being a boundary phenomenon
+
+
+@dataclass
+class BlockSurface:
+    """Surface of one block, as compile hands it over.
+
+    Parameters
+    ----------
+    loops : (k, 3) array or list of int arrays
+        Global gridpoint ids of every face, counter-clockwise seen from outside.
+    tags : (k,) int array
+        Tag of every face, -1 for none.
+    affine : bool
+        True: the block moves affinely, so coplanar faces may be merged (rigid, uniform strain).
+        False: zone triangles, kept as they are.
+    gp : tuple of int
+        First gridpoint of the block and one past its last.
+    fixed : bool
+        The block has no unknowns (it may still be moved as a platen).
+    volume : float
+        Volume [m^3]; 0 or less for an open surface.
+    mass : float
+        Mass [kg]; infinite for fixed blocks.
+    behind : (k,) int array, optional
+        Per face a gridpoint off its plane (fourth vertex of the zone). None: chosen.
+    """
+
+    loops: Any
+    tags: Any
+    affine: bool
+    gp: tuple[int, int]
+    fixed: bool
+    volume: float
+    mass: float
+    behind: Any = None
+
+
+@dataclass
+class Surfaces:
+    """All faces of all blocks as flat arrays.
+
+    Attributes
+    ----------
+    face_start : (n_blocks + 1,) int32
+    face_block, tag, source : (n_faces,) int32
+        Block, tag and index of (one of) the loops the face came from.
+    corner_start : (n_faces + 1,) int32
+    corner_w : (n_corners, 2)
+        Weights of the second and third reference gridpoint.
+    neighbour : (n_corners,) int32
+        Face across the edge that starts at this corner, -1 at a border.
+    ref : (n_faces, 4) int32
+        Three reference gridpoints and one behind the face.
+    has_behind : (n_faces,) uint8
+        0 where no gridpoint lies off the plane; its weight is then 0.
+    limit : (n_faces,)
+        Largest admissible depth [m]; infinite on open surfaces.
+    convex, affine, open, fixed : (n_blocks,) uint8
+    sharp : (n_blocks,)
+        Cosine of the angle below which an edge bounds a face's cell.
+    size, volume, mass : (n_blocks,)
+        Cube root of the volume [m], volume [m^3], mass [kg].
+    surface_gp, surface_start : int32
+        Gridpoints on the surface of every block.
+    """
+
+    face_start: Ints
+    face_block: Ints
+    tag: Ints
+    source: Ints
+    corner_start: Ints
+    corner_w: Array
+    neighbour: Ints
+    ref: Ints
+    has_behind: NDArray[np.uint8]
+    limit: Array
+    convex: NDArray[np.uint8]
+    affine: NDArray[np.uint8]
+    open: NDArray[np.uint8]
+    fixed: NDArray[np.uint8]
+    sharp: Array
+    size: Array
+    volume: Array
+    mass: Array
+    surface_gp: Ints
+    surface_start: Ints
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of blocks."""
+        return len(self.size)
+
+    @property
+    def n_faces(self) -> int:
+        """Number of faces."""
+        return len(self.face_block)
+
+    @classmethod
+    def build(cls, blocks: Sequence[BlockSurface], x: Array) -> Surfaces:
+        """Make the faces of all blocks.
+
+        Parameters
+        ----------
+        blocks : sequence of BlockSurface
+        x : (n_gp, 3) array
+            Gridpoint positions [m].
+
+        Raises
+        ------
+        MeshError
+            A block has no face or a degenerate one.
+        """
+        parts = [_faces_of(b, x, index) for index, b in enumerate(blocks)]
+        counts = [len(p.ref) for p in parts]
+        corners = [len(p.corner_w) for p in parts]
+        first_face = np.r_[0, np.cumsum(counts)]
+        first_corner = np.r_[0, np.cumsum(corners)]
+        surface_gp = [np.unique(p.vertices) for p in parts]
+
+        def cat(arrays: list[Any], dtype: Any = np.int32) -> Any:
+            return np.ascontiguousarray(np.concatenate(arrays), dtype=dtype)
+
+        is_open = np.array([b.volume <= 0.0 for b in blocks], dtype=np.uint8)
+        volume = np.array([b.volume for b in blocks], dtype=float)
+        s = cls(
+            face_start=first_face.astype(np.int32),
+            face_block=np.repeat(np.arange(len(blocks)), counts).astype(np.int32),
+            tag=cat([p.tag for p in parts]),
+            source=cat([p.source for p in parts]),
+            corner_start=cat([p.corner_start[:-1] + o for p, o in zip(parts, first_corner, strict=False)] + [first_corner[-1:]]),
+            corner_w=cat([p.corner_w for p in parts], float),
+            neighbour=cat([np.where(p.neighbour < 0, -1, p.neighbour + o) for p, o in zip(parts, first_face, strict=False)]),
+            ref=cat([p.ref for p in parts]),
+            has_behind=cat([p.has_behind for p in parts], np.uint8),
+            limit=np.zeros(first_face[-1]),
+            convex=np.zeros(len(blocks), np.uint8),
+            affine=np.array([b.affine for b in blocks], np.uint8),
+            open=is_open,
+            fixed=np.array([b.fixed for b in blocks], np.uint8),
+            sharp=np.where([b.affine for b in blocks], SHARP_AFFINE, SHARP_ZONED).astype(float),
+            size=np.where(is_open, np.inf, np.cbrt(np.where(is_open, 1.0, volume))),
+            volume=np.where(is_open, np.inf, volume),
+            mass=np.array([np.inf if b.fixed else b.mass for b in blocks], dtype=float),
+            surface_gp=cat(surface_gp),
+            surface_start=np.r_[0, np.cumsum([len(g) for g in surface_gp])].astype(np.int32),
+        )
+        s._measure(x)
+        return s
+
+    def _measure(self, x: Array) -> None:
+        """Convexity of blocks and depth limits of faces, in the positions `x`."""
+        geo = FaceGeometry.of(self)
+        geo.refresh(self, x, np.arange(self.n_blocks, dtype=np.int32))
+        kernels.convex_blocks(self.face_start, self.corner_start, self.neighbour, geo.normal, geo.corner_x, self.affine, self.open, self.convex)
+        kernels.thickness(
+            self.face_start, self.corner_start, geo.corner_x, geo.normal, self.convex, self.open, geo.lower, geo.upper, self.limit
+        )
+        owner = np.repeat(np.arange(self.n_faces), np.diff(self.corner_start))
+        flat = (self.neighbour >= 0) & (np.einsum("ij,ij->i", geo.normal[owner], geo.normal[self.neighbour]) > 0.9999)
+        for _ in range(4):  # a triangle beside an acute edge shares the thickness of its plane
+            np.maximum.at(self.limit, owner[flat], self.limit[self.neighbour[flat]])
+        self.limit *= DEPTH_FRACTION
+
+
+@dataclass
+class FaceGeometry:
+    """Positions, normals, walls and boxes of faces in the current configuration (scratch of the clip)."""
+
+    corner_x: Array
+    normal: Array
+    wall: Array
+    kind: NDArray[np.int8]
+    lower: Array
+    upper: Array
+    block_lower: Array
+    block_upper: Array
+
+    @classmethod
+    def of(cls, s: Surfaces) -> FaceGeometry:
+        """Allocate for the surfaces `s`."""
+        nc, nf, nb = len(s.corner_w), s.n_faces, s.n_blocks
+        return cls(
+            np.zeros((nc, 3)), np.zeros((nf, 3)), np.zeros((nc, 3)), np.zeros(nc, np.int8),
+            np.zeros((nf, 3)), np.zeros((nf, 3)), np.zeros((nb, 3)), np.zeros((nb, 3)),
+        )  # fmt: skip
+
+    def refresh(self, s: Surfaces, x: Array, blocks: Ints) -> None:
+        """Recompute everything of the given blocks from positions `x` (n_gp, 3)."""
+        kernels.face_geometry(
+            blocks, s.face_start, s.corner_start, s.corner_w, s.ref, s.neighbour, s.sharp, s.open, x,
+            self.corner_x, self.normal, self.wall, self.kind, self.lower, self.upper, self.block_lower, self.block_upper,
+        )  # fmt: skip
+
+
+@dataclass
+class _Faces:
+    """Faces of one block, block-local numbering."""
+
+    ref: Ints
+    has_behind: Any
+    tag: Ints
+    source: Ints
+    corner_start: Ints
+    corner_w: Array
+    neighbour: Ints
+    vertices: Ints
+
+
+def _faces_of(block: BlockSurface, x: Array, index: int) -> _Faces:
+    if len(block.loops) == 0:
+        raise MeshError(f"block {index}: its surface has no face")
+    return _affine_faces(block, x, index) if block.affine else _triangle_faces(block, index)
+
+
+def _triangle_faces(block: BlockSurface, index: int) -> _Faces:
+    """Zone triangles: nothing is merged; neighbours by sorted edges."""
+    tri = np.asarray(block.loops, dtype=np.int32).reshape(-1, 3)
+    if block.behind is None:
+        raise MeshError(f"block {index}: the triangles of a zoned block need the fourth vertex of their zone")
+    n = len(tri)
+    return _Faces(
+        ref=np.column_stack([tri, np.asarray(block.behind, np.int32)]),
+        has_behind=np.ones(n, np.uint8),
+        tag=np.asarray(block.tags, np.int32),
+        source=np.arange(n, dtype=np.int32),
+        corner_start=(3 * np.arange(n + 1)).astype(np.int32),
+        corner_w=np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (n, 1)),
+        neighbour=edge_neighbours(tri.ravel(), np.roll(tri, -1, axis=1).ravel(), np.repeat(np.arange(n), 3)),
+        vertices=np.unique(tri),
+    )
+
+
+def edge_neighbours(a: Any, b: Any, face: Any) -> Ints:
+    """Face across every directed edge (a, b): the owner of edge (b, a), or -1 if there is none."""
+    n = int(max(a.max(), b.max())) + 1
+    forward = a.astype(np.int64) * n + b
+    backward = b.astype(np.int64) * n + a
+    order = np.argsort(forward, kind="stable")
+    at = np.minimum(np.searchsorted(forward[order], backward), len(order) - 1)
+    found = forward[order][at] == backward
+    return np.where(found, face[order][at], -1).astype(np.int32)
+
+
+def _affine_faces(block: BlockSurface, x: Array, index: int) -> _Faces:
+    """Merged, convex, planar faces of a block that moves affinely."""
+    raw = [np.asarray(loop, dtype=np.int64) for loop in block.loops]
+    lo, hi = block.gp
+    origin = x[lo:hi].mean(axis=0)
+    size = float(np.abs(x[lo:hi] - origin).max())
+    local = (x - origin) / size if lo == 0 and hi == len(x) else _local(x, lo, hi, origin, size)
+    loops, tags, source = convex_faces(raw, [int(t) for t in block.tags], local)
+    if not loops:
+        raise MeshError(f"block {index}: every face of its surface is degenerate")
+    counts = np.array([len(loop) for loop in loops])
+    flat = np.concatenate(loops)
+    following = np.concatenate([np.roll(loop, -1) for loop in loops])
+    owner = np.repeat(np.arange(len(loops)), counts)
+    neighbour = edge_neighbours(flat, following, owner)
+    normals = np.array([newell(local[loop]) for loop in loops])
+    corners, corner_w, kept_neighbour, ref, has_behind = [0], [], [], [], []
+    start = np.r_[0, np.cumsum(counts)]
+    for i, loop in enumerate(loops):
+        near = neighbour[start[i] : start[i + 1]]
+        keep = _true_corners(local[loop], near, normals)
+        loop, near = loop[keep], near[keep]
+        p = local[loop]
+        tri = largest_triangle(p)
+        w = _weights(p, p[tri])
+        depth = (p[tri[0]] - local[lo:hi]) @ normals[i]
+        far = int(np.argmax(np.abs(depth)))
+        corners.append(corners[-1] + len(loop))
+        corner_w.append(w)
+        kept_neighbour.append(near)
+        ref.append([*loop[tri], lo + far])
+        has_behind.append(abs(depth[far]) > 1e-9)
+    return _Faces(
+        ref=np.array(ref, dtype=np.int32),
+        has_behind=np.array(has_behind, dtype=np.uint8),
+        tag=np.array(tags, dtype=np.int32),
+        source=np.array(source, dtype=np.int32),
+        corner_start=np.array(corners, dtype=np.int32),
+        corner_w=np.concatenate(corner_w),
+        neighbour=np.concatenate(kept_neighbour).astype(np.int32),
+        vertices=np.unique(flat).astype(np.int32),
+    )
+
+
+class _local:
+    """Coordinates of one block in units of its size, indexed by global gridpoint (no copy of the model)."""
+
+    def __init__(self, x: Array, lo: int, hi: int, origin: Array, size: float) -> None:
+        self.lo = lo
+        self.x = (x[lo:hi] - origin) / size
+
+    def __getitem__(self, ids: Any) -> Array:
+        if isinstance(ids, slice):
+            return self.x[ids.start - self.lo : ids.stop - self.lo]
+        out: Array = self.x[np.asarray(ids) - self.lo]
+        return out
+
+
+def _true_corners(p: Array, near: Any, normals: Array) -> Any:
+    """Drop corners in the middle of a straight edge with one plane on the other side."""
+    before, after = p - np.roll(p, 1, axis=0), np.roll(p, -1, axis=0) - p
+    before /= np.linalg.norm(before, axis=1)[:, None]
+    after /= np.linalg.norm(after, axis=1)[:, None]
+    straight = np.linalg.norm(np.cross(before, after), axis=1) < 1e-9
+    last = np.roll(near, 1)
+    same = (last == near) | ((near >= 0) & (last >= 0) & (np.einsum("ij,ij->i", normals[last], normals[near]) > 1.0 - 1e-12))
+    return ~(straight & same)
+
+
+def _weights(p: Array, tri: Array) -> Array:
+    """Weights of the second and third vertex of `tri` for the points `p` in its plane."""
+    e1, e2 = tri[1] - tri[0], tri[2] - tri[0]
+    a, b, c = e1 @ e1, e1 @ e2, e2 @ e2
+    d = p - tri[0]
+    s, t = d @ e1, d @ e2
+    w: Array = np.column_stack([c * s - b * t, a * t - b * s]) / (a * c - b * b)
+    return w

@@ -1,0 +1,48 @@
+"""What was compiled, what was left out and why: the text of `Simulation.describe`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from fdem.simulation import Simulation
+
+__all__ = ["describe"]
+
+
+def describe(sim: Simulation) -> str:
+    """Return the description of a simulation, one fact a line."""
+    model, contacts, integrator = sim.model, sim.system.contacts, sim.integrator
+    lines = [
+        f"fdem: {model.n_blocks} blocks, {len(model.X)} gridpoints, {len(model.zones)} zones, "
+        f"{len(sim.state.v)} unknowns, {0 if contacts is None else contacts.n_contacts} contact points",
+        f"integrator: {integrator!r}",
+        _step(sim),
+    ]
+    lines += model.notes
+    if contacts is not None:
+        lines += contacts.notes()
+    if sim.ledger is None:
+        lines.append("energy ledger: left out (energy=False)")
+    if sim.system.f_load is None:
+        lines.append("work of loads: left out, there are none")
+    if not sim.system.constraints.moving:
+        lines.append("work of prescribed motion: left out, nothing is driven")
+    return "\n".join(lines)
+
+
+def _step(sim: Simulation) -> str:
+    bounds = sim.system.block_frequencies()
+    if sim.integrator.scaled:
+        return f"step: {sim.dt:g} units of fictitious time, half of which is the limit of the scaled masses' bound"
+    if not bounds.any():
+        return f"step: {sim.dt:.4g} s, nothing limits it"
+    block = int(np.argmax(bounds))
+    where = ""
+    if sim.model.zoned[block]:
+        gp = int(sim.model.deformable.limiting_gridpoint[sim.model.batch_row[block]])
+        where = f" at gridpoint {gp - int(sim.model.gp_range[block, 0])}"
+    limit = sim.integrator.limit(sim.system)
+    return f"step: {sim.dt:.4g} s, limit {limit:.4g} s set by block {sim.model.names[block]!r}{where}"

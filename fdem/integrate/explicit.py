@@ -1,0 +1,231 @@
+"""Explicit (leapfrog) and Relaxation (the same loop with scaled masses), and their damping."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fdem.errors import FdemWarning, SceneError
+
+__all__ = ["Explicit", "Local", "Rayleigh", "Relaxation"]
+
+
+def _check(owner: str, name: str, value: Any, low: float, high: float = np.inf) -> None:
+    if not isinstance(value, (int, float)) or not low <= value <= high or not np.isfinite(value):
+        raise SceneError(f"{owner}: {name} = {value!r}, allowed is a number in [{low:g}, {high:g}]")
+
+
+@dataclass(frozen=True)
+class Local:
+    """Local damping: a force against each velocity component, a share of the unbalanced force.
+
+    Parameters
+    ----------
+    coefficient : float, optional
+        Share alpha of the unbalanced force, in [0, 1).
+
+    Notes
+    -----
+    ``f_d = -alpha |f| sign(v)`` (Cundall 1987), with the velocity at the time of the force: the
+    half-step value locks forces in.
+    """
+
+    coefficient: float = 0.8
+
+    def __post_init__(self) -> None:
+        _check("Local", "coefficient", self.coefficient, 0.0, 1.0 - 1e-12)
+
+    def start(self, system: Any) -> None:
+        """Nothing to prepare."""
+
+    def kick(self, system: Any, h: float) -> None:
+        """Change the velocities by the accelerations over `h` [s]."""
+        v, f = system.state.v, system.state.f
+        before = v + system.lag * system.accelerate(f)
+        free = f.copy()
+        system.constraints.release(free)
+        resist = self.coefficient * np.abs(free) * np.sign(before)
+        a = system.accelerate(f - resist)
+        system.damped += h * float(resist @ (v + 0.5 * h * a))
+        v += h * a
+
+
+@dataclass(frozen=True)
+class Rayleigh:
+    """Viscous damping proportional to mass and stiffness: C = mass M + stiffness K.
+
+    Parameters
+    ----------
+    mass : float, optional
+        [1/s].
+    stiffness : float, optional
+        [s]; it lags half a step, which shortens the stable step (NUMERICS.md section 5).
+    """
+
+    mass: float = 0.0
+    stiffness: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check("Rayleigh", "mass", self.mass, 0.0)
+        _check("Rayleigh", "stiffness", self.stiffness, 0.0)
+
+    def start(self, system: Any) -> None:
+        """Keep the elastic forces, whose rate is the stiffness-proportional part."""
+        if self.stiffness > 0 and system.elastic is None:
+            system.elastic = np.zeros_like(system.state.f)
+
+    def kick(self, system: Any, h: float) -> None:
+        """Change the velocities by the accelerations over `h` [s], mass damping centred."""
+        v, f = system.state.v, system.state.f
+        viscous = np.zeros_like(v)
+        if self.stiffness > 0:
+            if system.elastic_old is None:
+                system.elastic_old = system.elastic.copy()
+            elif system.dt > 0:
+                viscous = self.stiffness / system.dt * (system.elastic - system.elastic_old)
+        a = system.accelerate(f + viscous)
+        _centred(system, h, a, self.mass if system.alpha is None else self.mass + system.alpha, viscous)
+
+
+@dataclass(frozen=True)
+class _Undamped:
+    """No damping; mass-proportional drag of the scene is applied if there is one."""
+
+    def start(self, system: Any) -> None:
+        """Nothing to prepare."""
+
+    def kick(self, system: Any, h: float) -> None:
+        """Change the velocities by the accelerations over `h` [s]."""
+        a = system.accelerate(system.state.f)
+        if system.alpha is None:
+            a *= h
+            system.state.v += a
+        else:
+            _centred(system, h, a, system.alpha, None)
+
+
+def _centred(system: Any, h: float, a: np.ndarray, alpha: Any, viscous: np.ndarray | None) -> None:
+    """Velocity update with damping ``-alpha v`` at the middle of the step; its loss goes to the ledger."""
+    v = system.state.v
+    new = ((1.0 - 0.5 * alpha * h) * v + h * a) / (1.0 + 0.5 * alpha * h)
+    middle = 0.5 * (v + new)
+    loss = sum(b.kinetic(system.state.q, np.sqrt(2.0 * h * np.asarray(alpha)) * middle) for b in system.model.batches)
+    if viscous is not None:
+        loss -= h * float(viscous @ middle)
+    system.damped += loss
+    v[:] = new
+
+
+@dataclass
+class Explicit:
+    """Leapfrog: positions and half-step velocities, second order, momentum exact.
+
+    Parameters
+    ----------
+    dt : float, optional
+        Time step [s]. None: chosen below the stable limit and kept there as contacts change.
+    safety : float, optional
+        Share of the estimated limit used when `dt` is None.
+    damping : Local or Rayleigh, optional
+        Numerical damping.
+
+    Raises
+    ------
+    SceneError
+        If `dt` or `safety` is not positive.
+
+    Notes
+    -----
+    ``v(n+1/2) = v(n-1/2) + dt M^-1 f(n)``, ``q(n+1) = q(n) + dt v(n+1/2)``; stable for
+    ``dt < 2/omega_max``. With damping that lags half a step the limit is
+    ``(2/omega)(sqrt(1 + zeta^2) - zeta)``.
+    """
+
+    dt: float | None = None
+    safety: float = 0.8
+    damping: Local | Rayleigh | None = None
+    scaled: bool = field(default=False, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):
+            raise SceneError(f"Explicit: dt = {self.dt!r}, allowed is a positive number or None")
+        if not 0 < self.safety <= 1:
+            raise SceneError(f"Explicit: safety = {self.safety!r}, allowed is a number in (0, 1]")
+        self._damping: Any = self.damping or _Undamped()
+
+    def start(self, system: Any) -> None:
+        """Prepare the damping and find the step."""
+        self._damping.start(system)
+        self.refresh(system)
+
+    def refresh(self, system: Any) -> None:
+        """Find the stable step again after contacts have changed."""
+        limit = self.limit(system)
+        if self.dt is None:
+            self.step_length = self.safety * limit
+        else:
+            self.step_length = self.dt
+            if self.dt > limit and not getattr(self, "_warned", False):
+                self._warned = True
+                warnings.warn(
+                    f"Explicit: dt = {self.dt:.4g} s is above {limit:.4g} s, the largest step known to be stable",
+                    FdemWarning,
+                    stacklevel=2,
+                )
+        system.stale = False
+
+    def limit(self, system: Any) -> float:
+        """Largest step known to be stable [s]; infinite without any stiffness."""
+        omega = float(np.sqrt(system.block_frequencies().max(initial=0.0)))
+        rate = system.dashpot_rate()
+        if omega == 0.0:
+            return 2.0 / rate if rate > 0 else np.inf
+        zeta = max(system.model.damping_ratio, 0.5 * rate / omega)
+        if isinstance(self.damping, Rayleigh):
+            zeta += 0.5 * self.damping.stiffness * omega
+        return 2.0 / omega * (np.sqrt(1.0 + zeta * zeta) - zeta)
+
+    def step(self, system: Any, dt: float) -> None:
+        """One step of `dt` [s]."""
+        system.forces()
+        h = system.lag + 0.5 * dt
+        self._damping.kick(system, h)
+        system.commit()
+        system.prescribe(dt)
+        system.advance(dt)
+        system.lag = 0.5 * dt
+        if system.stale:
+            self.refresh(system)
+
+
+@dataclass
+class Relaxation(Explicit):
+    """Dynamic relaxation: the explicit loop with masses scaled to one stable step, to equilibrium.
+
+    Parameters
+    ----------
+    damping : Local, optional
+        Damping that takes the kinetic energy out.
+
+    Notes
+    -----
+    Time is fictitious. `Simulation.solve` stops by the unbalanced force ratio, the kinetic energy
+    and the displacement still to come (NUMERICS.md section 10).
+    """
+
+    dt: float | None = field(default=None, init=False)
+    safety: float = field(default=0.8, init=False)
+    damping: Local | Rayleigh | None = field(default_factory=Local)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.scaled = True
+
+    def refresh(self, system: Any) -> None:
+        """Scale the masses again after contacts have changed."""
+        system.scale_masses()
+        self.step_length = 2.0 * self.safety
+        system.stale = False

@@ -1,0 +1,163 @@
+"""Numeric loads: what a load of the scene becomes, forces on gridpoints.
+
+Every load acts through gridpoint forces, so it needs to know no formulation; a force at a material
+point of a rigid block is an affine combination of four of its gridpoints, which is exact.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fdem.errors import SceneError, SolveError
+
+__all__ = ["Bedding", "Dashpot", "DeadLoad", "Follower", "Load", "Release", "UserLoad"]
+
+
+class Load:
+    """A load on gridpoints.
+
+    Parameters
+    ----------
+    handle : Applied
+        The user's handle; its `factor` is a number or a function of time.
+    gp : (n,) int array
+        Gridpoints, each at most once.
+    """
+
+    needs_velocity = False
+
+    def __init__(self, handle: Any, gp: np.ndarray) -> None:
+        self.handle, self.gp = handle, np.ascontiguousarray(gp, dtype=np.int64)
+        self.total = np.zeros(3)
+
+    def factor(self, t: float) -> float:
+        """Factor at time `t` [s].
+
+        Raises
+        ------
+        SolveError
+            If the user's function returns something that is not finite.
+        """
+        value = self.handle.factor
+        result = float(value(t)) if callable(value) else float(value)
+        if not np.isfinite(result):
+            raise SolveError(f"load {self.handle.load!r}: factor = {result!r} at t = {t:g} s is not finite")
+        return result
+
+    def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        """Forces (n, 3) [N] on the gridpoints."""
+        raise NotImplementedError
+
+    def add(self, t: float, step: int, x: np.ndarray, xdot: np.ndarray | None, f_gp: np.ndarray) -> None:
+        """Add the forces to `f_gp` [N]."""
+        forces = self.factor(t) * self.values(t, x, xdot)
+        self.total = forces.sum(axis=0)
+        f_gp[self.gp] += forces
+
+
+class DeadLoad(Load):
+    """Constant forces (n, 3) [N]."""
+
+    def __init__(self, handle: Any, gp: np.ndarray, forces: np.ndarray) -> None:
+        unique, inverse = np.unique(gp, return_inverse=True)
+        super().__init__(handle, unique)
+        self.forces = np.zeros((len(unique), 3))
+        np.add.at(self.forces, inverse.ravel(), forces)
+
+    def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        return self.forces
+
+
+class Follower(Load):
+    """Pressure on triangles that follows the face, linear on each triangle.
+
+    Parameters
+    ----------
+    triangles : (n, 3) int array
+        Gridpoints, outward.
+    pressure : (n, 3) array
+        Pressure at the corners [Pa].
+    """
+
+    def __init__(self, handle: Any, triangles: np.ndarray, pressure: np.ndarray) -> None:
+        unique, inverse = np.unique(triangles, return_inverse=True)
+        super().__init__(handle, unique)
+        self.corner = inverse.reshape(-1, 3)
+        # integral of N_i p over a triangle is A/12 (p_i + sum p)
+        self.share = -(pressure + pressure.sum(axis=1, keepdims=True)) / 24.0
+
+    def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        corners = x[self.gp][self.corner]
+        area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        forces = np.zeros((len(self.gp), 3))
+        for k in range(3):
+            np.add.at(forces, self.corner[:, k], self.share[:, k, None] * area)
+        return forces
+
+
+class Dashpot(Load):
+    """Forces ``-C xdot`` with a (3, 3) matrix [N s/m] per gridpoint."""
+
+    needs_velocity = True
+
+    def __init__(self, handle: Any, gp: np.ndarray, matrices: np.ndarray) -> None:
+        super().__init__(handle, gp)
+        self.matrices = matrices
+
+    def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        assert xdot is not None
+        return -np.einsum("nij,nj->ni", self.matrices, xdot[self.gp])
+
+
+class Bedding(Load):
+    """Forces ``-K (x - X)`` with a (3, 3) matrix [N/m] per gridpoint."""
+
+    def __init__(self, handle: Any, gp: np.ndarray, matrices: np.ndarray, X: np.ndarray) -> None:
+        super().__init__(handle, gp)
+        self.matrices, self.start = matrices, X[self.gp].copy()
+
+    def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        return -np.einsum("nij,nj->ni", self.matrices, x[self.gp] - self.start)
+
+
+class UserLoad(Load):
+    """The user's ``force(t, x, v) -> (n, 3)`` on gridpoints."""
+
+    needs_velocity = True
+
+    def __init__(self, handle: Any, gp: np.ndarray, origin: np.ndarray) -> None:
+        super().__init__(handle, gp)
+        self.origin = origin
+
+    def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        assert xdot is not None
+        forces = np.asarray(self.handle.load.force(t, x[self.gp] + self.origin, xdot[self.gp]), dtype=np.float64)
+        if forces.shape != (len(self.gp), 3):
+            raise SceneError(f"load {self.handle.load!r}: force returned shape {forces.shape}, expected ({len(self.gp)}, 3)")
+        if not np.isfinite(forces).all():
+            raise SolveError(f"load {self.handle.load!r}: force is not finite at t = {t:g} s")
+        return forces
+
+
+class Release(Load):
+    """Tractions of removed blocks, taken away linearly over a number of steps.
+
+    Parameters
+    ----------
+    forces : (n_gp, 3) array
+        What the removed blocks did to the gridpoints [N].
+    start, over : int
+        Step of the removal and steps the release takes.
+    """
+
+    def __init__(self, handle: Any, gp: np.ndarray, forces: np.ndarray, start: int, over: int) -> None:
+        super().__init__(handle, gp)
+        self.forces, self.start, self.over = forces, start, over
+
+    def add(self, t: float, step: int, x: np.ndarray, xdot: np.ndarray | None, f_gp: np.ndarray) -> None:
+        left = max(0.0, 1.0 - (step - self.start) / self.over)
+        self.total = left * self.forces.sum(axis=0)
+        if left > 0.0:
+            f_gp[self.gp] += left * self.forces

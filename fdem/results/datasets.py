@@ -1,0 +1,153 @@
+"""A simulation as arrays and pyvista datasets: the cells that stand for it and what lies on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["STATES", "Cells", "cell_stress", "cells_of", "contacts", "full_tensor", "group_ids", "mesh"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+STATES = ("intact", "closed", "slipping", "open")
+
+# xx yy zz yz zx xy -> xx xy xz yx yy yz zx zy zz, the order of VTK
+_FULL = np.array([0, 5, 4, 5, 1, 3, 4, 3, 2])
+
+
+@dataclass(frozen=True)
+class Cells:
+    """What a picture or a file is made of: all zones, then the surface triangles of blocks without zones.
+
+    Parameters
+    ----------
+    zones : (m, 4) int32 array
+        Gridpoints of the zones.
+    triangles : (k, 3) int32 array
+        Gridpoints of the surface triangles of the blocks that have no zones.
+    block : (m + k,) int32 array
+        Block of each cell.
+    group : (m + k,) int32 array
+        Index of the block's group in `groups`.
+    groups : list of str
+        Names of the groups; blocks without one are in "".
+    """
+
+    zones: Ints
+    triangles: Ints
+    block: Ints
+    group: Ints
+    groups: list[str]
+
+
+def group_ids(model: Any) -> tuple[Ints, list[str]]:
+    """Group of each block as an index (n_blocks,) and the names, in order of first appearance."""
+    names = ["" if group is None else str(group) for group in model.groups]
+    groups = list(dict.fromkeys(names))
+    index = {name: i for i, name in enumerate(groups)}
+    return np.array([index[name] for name in names], dtype=np.int32), groups
+
+
+def cells_of(model: Any) -> Cells:
+    """Cells of a model (see `Cells`)."""
+    bare = ~np.asarray(model.zoned, dtype=bool)[model.triangle_block]
+    block = np.concatenate([model.zone_block, model.triangle_block[bare]]).astype(np.int32)
+    group, groups = group_ids(model)
+    zones = np.asarray(model.zones, dtype=np.int32).reshape(-1, 4)
+    return Cells(zones, np.asarray(model.triangles[bare], dtype=np.int32), block, group[block], groups)
+
+
+def full_tensor(voigt: Array) -> Array:
+    """Symmetric tensors (n, 6) in the order xx yy zz yz zx xy as (n, 9), row by row.
+
+    Not for engineering shear strain, whose off-diagonal terms are doubled.
+    """
+    return np.asarray(voigt)[:, _FULL]
+
+
+def cell_stress(view: Any, cells: Cells) -> Array:
+    """Cauchy stress of each cell [Pa], tension positive, (n_cells, 6): the zone's, or its block's."""
+    stress = np.empty((len(cells.block), 6))
+    m = len(cells.zones)
+    stress[:m] = view.zone_stresses() if m else 0.0
+    stress[m:] = view.block_stress()[cells.block[m:]]
+    return stress
+
+
+def mesh(view: Any) -> Any:
+    """Everything as one unstructured grid.
+
+    Parameters
+    ----------
+    view : Simulation
+        What is shown.
+
+    Returns
+    -------
+    pyvista.UnstructuredGrid
+        Zones as tetrahedra, then blocks without zones as their surface triangles, at the current
+        positions. Points: ``displacement`` [m], ``velocity`` [m/s], ``gridpoint`` (number). Cells:
+        ``block``, ``group`` (numbers), ``stress`` [Pa] (9 components, tension positive; not a number
+        where a body has none). Field: ``block_names``, ``group_names``, ``time`` [s], ``step``.
+    """
+    import pyvista as pv
+
+    model = view.model
+    cells = cells_of(model)
+    kinds = {}
+    if len(cells.zones):
+        kinds[pv.CellType.TETRA] = cells.zones
+    if len(cells.triangles):
+        kinds[pv.CellType.TRIANGLE] = cells.triangles
+    points = np.array(view.positions())
+    grid = pv.UnstructuredGrid(kinds, points) if kinds else pv.UnstructuredGrid()
+    if not kinds:
+        return grid
+    grid.point_data["displacement"] = np.array(view.displacements())
+    grid.point_data["velocity"] = np.array(view.velocities())
+    grid.point_data["gridpoint"] = np.arange(len(points), dtype=np.int32)
+    grid.cell_data["block"] = cells.block
+    grid.cell_data["group"] = cells.group
+    grid.cell_data["stress"] = full_tensor(cell_stress(view, cells))
+    _describe(grid, view, block_names=model.names, group_names=cells.groups)
+    return grid
+
+
+def contacts(view: Any) -> Any:
+    """All contacts as points.
+
+    Parameters
+    ----------
+    view : Simulation
+        What is shown.
+
+    Returns
+    -------
+    pyvista.PolyData
+        One vertex per contact with ``block_a``, ``block_b``, ``joint`` (numbers), ``normal`` (from a
+        to b), ``gap`` [m] (> 0 open), ``area`` [m^2], ``traction`` [Pa] (normal, compression positive,
+        and two tangents), ``force`` [N] on block b in global axes, ``slip`` [m], ``state`` (0 intact,
+        1 closed, 2 slipping, 3 open). Field: ``joint_names``, ``state_names``, ``block_names``,
+        ``time`` [s], ``step``.
+    """
+    import pyvista as pv
+
+    table = view.contact_table()
+    points = np.array(table["position"], dtype=np.float64).reshape(-1, 3)
+    cloud = pv.PolyData(points) if len(points) else pv.PolyData()
+    for name in ("block_a", "block_b", "joint", "normal", "gap", "area", "traction", "force", "slip", "state"):
+        cloud.point_data[name] = np.array(table[name])
+    _describe(cloud, view, joint_names=table["joint_names"], state_names=STATES, block_names=view.model.names)
+    return cloud
+
+
+def _describe(dataset: Any, view: Any, **names: Any) -> None:
+    """Attach names and the moment as field data."""
+    for key, values in names.items():
+        dataset.field_data[key] = [str(value) for value in values]
+    dataset.field_data["time"] = np.array([float(view.time)])
+    dataset.field_data["step"] = np.array([int(view.steps)])

@@ -1,0 +1,243 @@
+"""Zones: from the shape of a block to its tetrahedra."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fdem.errors import MeshError
+from fdem.scene.gmsh_session import ROUND, fill_surface, session
+from fdem.scene.surfaces import SharedSurfaces
+from fdem.scene.tetmesh import TetMesh, boundary_facets
+
+__all__ = ["ZoneMesh", "zone_meshes"]
+
+Array = Any
+
+# (gmsh algorithm, Netgen): HXT, HXT + Netgen, Delaunay, Delaunay + Netgen
+_RECIPES = ((10, False), (10, True), (1, False), (1, True))
+_GOOD = 0.1  # altitude over the shortest surface edge: below it another recipe is tried
+_TINY = 1e-9  # volume over the cube of the longest edge below which a zone is refused
+_FAN = 1.25  # convex blocks within this many sizes of their centroid may be fanned
+_RENUMBER = 256  # points from which the order of memory matters
+
+
+@dataclass(frozen=True)
+class ZoneMesh:
+    """The zones of one block.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Gridpoints [m].
+    tets : (m, 4) int32 array
+        Zones, positively oriented, neighbours near each other in memory.
+    triangles : (k, 3) int32 array
+        Boundary, outward.
+    triangle_face : (k,) int32 array
+        Face of the polyhedron (of the surface of a `TetMesh`) each lies on.
+    """
+
+    points: Array
+    tets: Array
+    triangles: Array
+    triangle_face: Array
+
+
+def zone_meshes(shapes: Sequence[Any], sizes: Sequence[float | None]) -> list[ZoneMesh]:
+    """Divide blocks into zones, all at once, so that neighbours share the triangles of common faces.
+
+    Parameters
+    ----------
+    shapes : sequence of Polyhedron or TetMesh
+        The blocks; the zones of a `TetMesh` are taken as they are.
+    sizes : sequence of (float or None)
+        Target zone edge of each [m]; None: as few zones as possible (a convex block is joined to its centroid).
+
+    Returns
+    -------
+    list of ZoneMesh
+        In the order of `shapes`.
+
+    Raises
+    ------
+    MeshError
+        If a block cannot be meshed; names it by its number in `shapes`.
+
+    Notes
+    -----
+    One gmsh model per block, in normalised coordinates: equal blocks get equal meshes anywhere and in any unit.
+    """
+    meshes: list[ZoneMesh | None] = [None] * len(shapes)
+    chosen: list[int] = []
+    for k, (shape, size) in enumerate(zip(shapes, sizes, strict=True)):
+        if isinstance(shape, TetMesh):
+            triangles = shape.triangles
+            meshes[k] = ZoneMesh(shape.points, shape.tets, triangles, np.arange(len(triangles), dtype=np.int32))
+        elif size is None and shape.is_convex:
+            meshes[k] = _fan_of(shape, k)
+        else:
+            chosen.append(k)
+    if chosen:
+        targets = [np.inf if (size := sizes[k]) is None else float(size) for k in chosen]
+        surfaces = SharedSurfaces([shapes[k] for k in chosen], targets, chosen)
+        with session() as gmsh:
+            for place, k in enumerate(chosen):
+                points, triangles, owner = surfaces.surface(gmsh, place)
+                meshes[k] = _filled(gmsh, shapes[k], targets[place], points, triangles, owner, k)
+    return [mesh for mesh in meshes if mesh is not None]
+
+
+def _fan_of(shape: Any, block: int) -> ZoneMesh:
+    """Join the triangles of a convex block's surface to its centroid."""
+    triangles = np.asarray(shape.triangles)
+    points = np.vstack([shape.points, shape.centroid])
+    tets = _fan(triangles, len(shape.points))
+    if not _acceptable(points, tets):
+        raise MeshError(f"block {block}: the block is too flat to be joined to its centroid")
+    return ZoneMesh(points, tets, triangles.astype(np.int32), np.asarray(shape.triangle_face, dtype=np.int32))
+
+
+def _fan(triangles: Array, apex: int) -> Array:
+    # reversed, because an outward triangle seen from inside turns the other way
+    return np.column_stack([triangles[:, ::-1], np.full(len(triangles), apex)]).astype(np.int32)
+
+
+def _filled(
+    gmsh: Any, shape: Any, size: float, points: Array, triangles: Array, owner: Array, block: int
+) -> ZoneMesh:
+    """Fill a surface mesh with zones and put everything into a fast order."""
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    extent, middle = float((upper - lower).max()), 0.5 * (lower + upper)
+    places = np.rint((points - middle) / (extent * ROUND))
+    order = np.lexsort(places.T[::-1])
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.arange(len(order))
+    points, places = points[order], places[order] * ROUND
+    triangles, owner = _sorted_triangles(number[triangles], owner)
+    relative = float(np.rint(min(size / extent, 4.0) / ROUND) * ROUND)
+    inside, tets = _best_fill(gmsh, shape, size, points, places, triangles, relative, middle, extent, block)
+    points = np.concatenate([points, inside])
+    return _renumbered(points, tets, triangles, owner)
+
+
+def _best_fill(
+    gmsh: Any, shape: Any, size: float, points: Array, places: Array, triangles: Array, relative: float,
+    middle: Array, extent: float, block: int,
+) -> tuple[Array, Array]:
+    """Points inside [m] and tets by the first good recipe, else by the best of all."""
+    best: tuple[float, Array, Array] | None = None
+    if len(points) == 4:
+        return np.empty((0, 3)), _positive(points, np.array([[0, 1, 2, 3]], dtype=np.int32))
+    wanted = _GOOD * _shortest_edge(points, triangles)
+    if shape.is_convex and np.linalg.norm(points - shape.centroid, axis=1).max() <= _FAN * size:
+        centre = np.asarray(shape.centroid)[None, :]
+        best = _better(best, points, centre, _fan(triangles, len(points)))
+        if best is not None and best[0] >= 3.0 * wanted:
+            return best[1], best[2]
+    for algorithm, netgen in _RECIPES:
+        try:
+            inside, tets = fill_surface(gmsh, places, triangles, relative, algorithm, netgen)
+        except Exception:  # gmsh raises bare Exceptions; the next recipe may do better
+            continue
+        inside = middle + extent * inside
+        if len(tets) and tets.min() >= 0 and _keeps_surface(tets, triangles):
+            best = _better(best, points, inside, tets.astype(np.int32))
+        if best is not None and best[0] >= wanted:
+            break
+    if best is None and shape.is_convex:
+        centre = np.asarray(shape.centroid)[None, :]
+        best = _better(best, points, centre, _fan(triangles, len(points)))
+    if best is None:
+        raise MeshError(
+            f"block {block}: gmsh cannot fill its surface ({len(triangles)} triangles, volume {shape.volume:.3g} m^3) "
+            "with zones; is it thinner than 1e-6 of its length, or does it touch itself?"
+        )
+    return best[1], best[2]
+
+
+def _better(
+    best: tuple[float, Array, Array] | None, points: Array, inside: Array, tets: Array
+) -> tuple[float, Array, Array] | None:
+    """Keep the mesh with the larger smallest altitude: it has the larger stable step."""
+    full = np.concatenate([points, inside])
+    tets = _positive(full, tets)
+    if not _acceptable(full, tets):
+        return best
+    altitude = _smallest_altitude(full, tets)
+    return (altitude, inside, tets) if best is None or altitude > best[0] else best
+
+
+def _volumes6(points: Array, tets: Array) -> Array:
+    a, b, c = (points[tets[:, k]] - points[tets[:, 0]] for k in (1, 2, 3))
+    return np.einsum("ij,ij->i", a, np.cross(b, c))
+
+
+def _positive(points: Array, tets: Array) -> Array:
+    inverted = _volumes6(points, tets) < 0.0
+    if inverted.any():
+        tets = tets.copy()
+        tets[inverted] = tets[inverted][:, [0, 2, 1, 3]]
+    return tets
+
+
+def _acceptable(points: Array, tets: Array) -> bool:
+    corners = points[tets]
+    longest = np.linalg.norm(corners[:, [0, 0, 0, 1, 1, 2]] - corners[:, [1, 2, 3, 2, 3, 3]], axis=2).max(axis=1)
+    return bool(np.all(_volumes6(points, tets) > _TINY * longest**3))
+
+
+def _smallest_altitude(points: Array, tets: Array) -> float:
+    corners = points[tets]
+    facets = corners[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]]
+    areas2 = np.linalg.norm(
+        np.cross(facets[:, :, 1] - facets[:, :, 0], facets[:, :, 2] - facets[:, :, 0]), axis=2
+    ).max(axis=1)
+    return float(np.min(_volumes6(points, tets) / areas2))
+
+
+def _shortest_edge(points: Array, triangles: Array) -> float:
+    corners = points[triangles]
+    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min())
+
+
+def _keeps_surface(tets: Array, triangles: Array) -> bool:
+    found = np.sort(boundary_facets(tets), axis=1)
+    wanted = np.sort(triangles, axis=1)
+    if found.shape != wanted.shape:
+        return False
+    return bool(np.array_equal(found[np.lexsort(found.T)], wanted[np.lexsort(wanted.T)]))
+
+
+def _sorted_triangles(triangles: Array, owner: Array) -> tuple[Array, Array]:
+    """Triangles from their lowest point on, in order: the same surface is always the same array."""
+    first = np.argmin(triangles, axis=1)
+    triangles = np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, axis=1)
+    order = np.lexsort(triangles.T[::-1])
+    return np.ascontiguousarray(triangles[order]), owner[order]
+
+
+def _renumbered(points: Array, tets: Array, triangles: Array, owner: Array) -> ZoneMesh:
+    """Reverse Cuthill-McKee order of the points, zones and triangles sorted by point."""
+    n = len(points)
+    if n >= _RENUMBER:
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+        rows, columns = np.repeat(tets, 4, axis=1).ravel(), np.tile(tets, (1, 4)).ravel()
+        graph = coo_matrix((np.ones(rows.size, dtype=np.int8), (rows, columns)), shape=(n, n)).tocsr()
+        order = np.asarray(reverse_cuthill_mckee(graph, symmetric_mode=True))
+        number = np.empty(n, dtype=np.int64)
+        number[order] = np.arange(n)
+        points, tets = points[order], number[tets]
+        triangles, owner = _sorted_triangles(number[triangles], owner)
+    tets = tets[np.lexsort(np.sort(tets, axis=1).T[::-1])]
+    return ZoneMesh(
+        np.ascontiguousarray(points),
+        np.ascontiguousarray(tets, dtype=np.int32),
+        np.ascontiguousarray(triangles, dtype=np.int32),
+        np.ascontiguousarray(owner, dtype=np.int32),
+    )

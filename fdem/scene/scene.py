@@ -1,0 +1,538 @@
+"""What the user writes: blocks, cuts, joints, supports and loads. Plain Python, no numerics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+
+from fdem.errors import SceneError
+from fdem.scene.bodies import Rigid, Zoned
+from fdem.scene.checks import number, vector
+from fdem.scene.joints import Joint
+from fdem.scene.materials import Elastic
+from fdem.scene.shapes import Polyhedron, Shape, Surface, TetMesh
+
+__all__ = ["Applied", "Block", "Fix", "Gridpoint", "JointRule", "Scene", "choose", "surface_of", "tags_of"]
+
+Where = Callable[[np.ndarray], np.ndarray]
+COMPONENTS = ("x", "y", "z", "normal", "rotation")
+
+
+class Block:
+    """A block of the scene; after a cut the handle means all its pieces.
+
+    Attributes
+    ----------
+    name : str
+        Unique name.
+    group, shape, body, material, fixed
+        As given to `Scene.add`; assignable until a simulation is made.
+    """
+
+    def __init__(self, scene: Scene, name: str, **given: Any) -> None:
+        self._scene = scene
+        self.name = name
+        self.pieces: list[Block] = []
+        self._given: dict[str, Any] = given
+
+    def __repr__(self) -> str:
+        return f"<Block {self.name!r}>"
+
+    def leaves(self) -> Iterator[Block]:
+        """Yield the uncut pieces this handle means (itself if it was never cut)."""
+        if not self.pieces:
+            yield self
+        for piece in self.pieces:
+            yield from piece.leaves()
+
+    def set(self, **values: Any) -> None:
+        """Assign fields on this block and all its pieces, with the checks of `Scene.add`."""
+        for block in [self, *self.leaves()]:
+            block._given.update(values)
+            if not block.pieces:
+                self._scene.check(block)
+
+    velocity: np.ndarray = property(lambda self: self._given["velocity"])  # type: ignore[assignment]
+    angular_velocity: np.ndarray = property(lambda self: self._given["angular_velocity"])  # type: ignore[assignment]
+    group = property(lambda self: self._given["group"], lambda self, value: self._scene.regroup(self, value))
+    shape = property(lambda self: self._given["shape"], lambda self, value: self.set(shape=as_shape(value)))
+    body = property(lambda self: self._given["body"], lambda self, value: self.set(body=value))
+    material = property(lambda self: self._given["material"], lambda self, value: self.set(material=value))
+    fixed = property(lambda self: self._given["fixed"], lambda self, value: self.set(fixed=bool(value)))
+
+
+def as_shape(value: Any) -> Shape:
+    """Shape from what the user handed over (fdem shape, pyvista surface, skfem or meshio mesh)."""
+    if isinstance(value, Shape):
+        return value
+    from fdem.scene.reading import as_shape as convert
+
+    return convert(value)
+
+
+def surface_of(shape: Any) -> Polyhedron | Surface:
+    """Faces of a shape: its own, or the boundary of its zones."""
+    return shape.surface if isinstance(shape, TetMesh) else shape
+
+
+def tags_of(shape: Any) -> set[str]:
+    """Tags the faces of a shape carry."""
+    return {tag for tag in surface_of(shape).face_tags if tag is not None}
+
+
+@dataclass(frozen=True)
+class Gridpoint:
+    """Handle of the gridpoint nearest to a place among the selected blocks."""
+
+    near: tuple[float, float, float]
+    target: Any
+
+
+@dataclass(eq=False)
+class Applied:
+    """Handle of a load in a scene or simulation; key of ``sim[load]``."""
+
+    load: Any
+    target: Any = None
+    where: Where | None = None
+    factor: Any = 1.0
+
+
+@dataclass(eq=False)
+class Fix:
+    """Handle of fixed components; key of ``sim[fix]``, whose force is the reaction."""
+
+    target: Any
+    components: tuple[str, ...] | None
+    where: Where | None = None
+
+
+@dataclass(frozen=True)
+class JointRule:
+    """A law and the contacts it is for."""
+
+    law: Joint
+    target: Any = None
+    between: tuple[Any, Any] | None = None
+    where: Where | None = None
+
+    @property
+    def rank(self) -> int:
+        """Precedence: `where` with anything, then `between`, then target, then the default."""
+        return 3 if self.where is not None else 2 if self.between is not None else 1 if self.target is not None else 0
+
+
+@dataclass
+class _Names:
+    """The one namespace of blocks, groups, joint sets and mesh tags."""
+
+    kinds: dict[str, set[str]] = field(default_factory=dict)
+
+    def take(self, name: str, kind: str) -> None:
+        have = self.kinds.setdefault(name, set())
+        if have - {kind} and have | {kind} != {"group", "joint set"}:
+            raise SceneError(f"name {name!r} is taken by a {min(have - {kind})}, it cannot name a {kind} as well")
+        if kind == "block" and kind in have:
+            raise SceneError(f"name {name!r}: a block of that name exists")
+        have.add(kind)
+
+
+class Scene:
+    """Blocks, joints, supports and loads, as the user describes them.
+
+    Parameters
+    ----------
+    gravity : (3,) array, optional
+        Acceleration of gravity [m/s^2].
+    gap_tolerance : float, optional
+        Gaps and overlaps of nearly parallel faces below this length [m] are taken as closed joints
+        at the start. None: 1e-3 of the smaller block's size; 0: off.
+
+    Raises
+    ------
+    SceneError
+        If a value is not finite.
+    """
+
+    def __init__(self, gravity: Sequence[float] = (0, 0, -9.81), gap_tolerance: float | None = None) -> None:
+        self.gravity = vector("Scene", "gravity", gravity)
+        self.gap_tolerance = None if gap_tolerance is None else number("Scene", "gap_tolerance", gap_tolerance, low=0.0)
+        self.handles: list[Block] = []
+        self.joints: list[JointRule] = []
+        self.fixes: list[Fix] = []
+        self.loads: list[Applied] = []
+        self._names = _Names()
+
+    @property
+    def blocks(self) -> list[Block]:
+        """Every block in order; a cut block is replaced by its pieces."""
+        return [leaf for handle in self.handles for leaf in handle.leaves()]
+
+    def add(
+        self,
+        shape: Any,
+        body: Rigid | Zoned,
+        material: Elastic | None = None,
+        *,
+        name: str | None = None,
+        group: str | None = None,
+        fixed: bool = False,
+        velocity: Sequence[float] = (0, 0, 0),
+        angular_velocity: Sequence[float] = (0, 0, 0),
+    ) -> Any:
+        """Add a block, or a list of blocks from a list of shapes.
+
+        Parameters
+        ----------
+        shape : Shape or list of Shape
+            Geometry [m]; closed pyvista surfaces, skfem and meshio meshes are shapes too.
+        body : Rigid or Zoned
+            How it moves.
+        material : Elastic, optional
+            What it is made of; not needed by fixed rigid blocks.
+        name, group : str, optional
+            Unique name (lists: ``name_0``, ``name_1``...) and group.
+        fixed : bool, optional
+            The block does not move, or moves as its velocity prescribes.
+        velocity, angular_velocity : (3,) array, optional
+            At the start [m/s], [rad/s].
+
+        Returns
+        -------
+        Block or list of Block
+            Handle of the new block(s).
+
+        Raises
+        ------
+        SceneError
+            If a value is wrong; the message names block, field and value.
+        """
+        if isinstance(shape, (list, tuple)):
+            names: Iterable[str | None] = [None if name is None else f"{name}_{i}" for i in range(len(shape))]
+            given = dict(group=group, fixed=fixed, velocity=velocity, angular_velocity=angular_velocity)
+            if not shape:
+                raise SceneError("add: the list of shapes is empty")
+            return [self.add(s, body, material, name=n, **given) for s, n in zip(shape, names, strict=True)]  # type: ignore[arg-type]
+        label = name or f"block_{len(self.handles)}"
+        block = Block(
+            self,
+            label,
+            shape=as_shape(shape),
+            body=body,
+            material=material,
+            group=group,
+            fixed=bool(fixed),
+            velocity=vector(f"block {label!r}", "velocity", velocity),
+            angular_velocity=vector(f"block {label!r}", "angular_velocity", angular_velocity),
+        )
+        self.check(block)
+        self._names.take(label, "block")
+        if group is not None:
+            self._names.take(group, "group")
+        for tag in sorted(tags_of(block.shape)):
+            self._names.take(tag, "tag")
+        self.handles.append(block)
+        return block
+
+    def check(self, block: Block) -> None:
+        """Refuse a block whose body, material and shape do not go together.
+
+        Raises
+        ------
+        SceneError
+            Naming block, field and value.
+        """
+        who, body, material = f"block {block.name!r}", block.body, block.material
+        if not isinstance(body, (Rigid, Zoned)):
+            raise SceneError(f"{who}: body = {body!r}, allowed are Rigid() and Zoned()")
+        if material is not None and not isinstance(material, Elastic):
+            raise SceneError(f"{who}: material = {material!r}, allowed is an Elastic")
+        if isinstance(block.shape, Surface) and not (block.fixed and isinstance(body, Rigid)):
+            raise SceneError(f"{who}: shape is an open surface: only fixed rigid blocks can have one")
+        if material is None and not block.fixed:
+            raise SceneError(f"{who}: material is missing; only fixed blocks need none")
+        if isinstance(body, Zoned) and not block.fixed and material.young is None:
+            raise SceneError(f"{who}: material has no young and poisson, a deformable block needs both")
+
+    def regroup(self, block: Block, group: str | None) -> None:
+        """Move a block (with its pieces) to another group."""
+        if group is not None:
+            self._names.take(group, "group")
+        block.set(group=group)
+
+    def cut(self, cutter: Any, target: Any = None, where: Where | None = None, name: str | None = None) -> list[Block]:
+        """Cut blocks with a joint set, a disc or a closed shape.
+
+        Parameters
+        ----------
+        cutter : JointSet, Disc or closed shape
+            What cuts. Pieces inside a closed shape join group `name`.
+        target : selector, optional
+            Blocks to cut; None: all.
+        where : callable, optional
+            (n, 3) block centroids -> (n,) bool.
+        name : str, optional
+            Name the new faces remember; None: the cutter's.
+
+        Returns
+        -------
+        list of Block
+            The new pieces.
+
+        Raises
+        ------
+        SceneError
+            If nothing is selected or the name clashes.
+        """
+        from fdem.scene.cutting import split
+
+        label = name or getattr(cutter, "name", None) or f"cut_{sum('joint set' in k for k in self._names.kinds.values())}"
+        self._names.take(label, "joint set")
+        chosen = self._where("cut", self.select_blocks(target), where)
+        rng = np.random.default_rng(getattr(cutter, "seed", 0))
+        new: list[Block] = []
+        for block in chosen:
+            pieces = split(block.shape, cutter, label, rng)
+            if len(pieces) == 1 and not pieces[0][1]:
+                continue
+            for shape, inside in pieces:
+                piece = Block(self, f"{block.name}/{len(block.pieces)}", **{**block._given, "shape": shape})
+                if inside:
+                    self._names.take(label, "group")
+                    piece._given["group"] = label
+                block.pieces.append(piece)
+                new.append(piece)
+        return new
+
+    def joint(
+        self, law: Joint, target: Any = None, between: tuple[Any, Any] | None = None, where: Where | None = None
+    ) -> JointRule:
+        """Give contacts a joint law; the most specific rule wins, among equals the later.
+
+        Parameters
+        ----------
+        law : Joint
+            The law.
+        target : selector, optional
+            None: every contact; a group: contacts with a block in it; a joint set: its faces.
+        between : (selector, selector), optional
+            One block in each.
+        where : callable, optional
+            (n, 3) contact points -> (n,) bool.
+
+        Returns
+        -------
+        JointRule
+            The rule.
+
+        Raises
+        ------
+        SceneError
+            If the selection is empty or `law` is not a joint law.
+        """
+        if not isinstance(law, Joint):
+            raise SceneError(f"joint: law = {law!r} is not a joint law")
+        rule = JointRule(law, target, between, where)
+        for selector in [target] if between is None else list(between):
+            if selector is not None and not (isinstance(selector, str) and self.is_joint_set(selector)):
+                self.select_blocks(selector)
+        self.joints.append(rule)
+        return rule
+
+    def fix(self, target: Any = None, component: Any = None, where: Where | None = None) -> Fix:
+        """Fix gridpoints, or whole rigid blocks.
+
+        Parameters
+        ----------
+        target : selector, optional
+            None: every block.
+        component : str or tuple of str, optional
+            None (all), "x", "y", "z", "normal", "rotation" or a tuple of them.
+        where : callable, optional
+            (n, 3) gridpoints -> (n,) bool.
+
+        Returns
+        -------
+        Fix
+            Handle; ``sim[fix].force`` is the reaction.
+
+        Raises
+        ------
+        SceneError
+            If the selection is empty or a component unknown.
+        """
+        components = None if component is None else (component,) if isinstance(component, str) else tuple(component)
+        for entry in components or ():
+            if entry not in COMPONENTS:
+                raise SceneError(f"fix: component = {entry!r}, allowed are {', '.join(COMPONENTS)}")
+        if not isinstance(target, Gridpoint):
+            self.select(target)
+        fix = Fix(target, components, where)
+        self.fixes.append(fix)
+        return fix
+
+    def apply(self, load: Any, target: Any = None, where: Where | None = None, factor: Any = 1.0) -> Applied:
+        """Apply a load.
+
+        Parameters
+        ----------
+        load : Force, Moment, Traction, Pressure, Velocity, Displacement, Drag, Support, Stress or object
+            An object of the user's own has ``force(t, x, v) -> (n, 3)`` [N] on gridpoints.
+        target : selector, optional
+            None: every block.
+        where : callable, optional
+            Gridpoints, face centroids or block centroids (n, 3) -> (n,) bool.
+        factor : float or callable, optional
+            A number, or a function of time.
+
+        Returns
+        -------
+        Applied
+            Handle of the load.
+
+        Raises
+        ------
+        SceneError
+            If the selection is empty or the load unknown.
+        """
+        applied = self.applied(load, target, where, factor)
+        self.loads.append(applied)
+        return applied
+
+    def applied(self, load: Any, target: Any, where: Where | None, factor: Any) -> Applied:
+        """Check a load and its selection without adding it."""
+        from fdem.scene import boundary
+
+        known = tuple(getattr(boundary, name) for name in boundary.__all__)
+        if not isinstance(load, known) and not callable(getattr(load, "force", None)):
+            raise SceneError(f"apply: load = {load!r} is neither a load of fdem nor has it force(t, x, v)")
+        if not callable(factor):
+            number("apply", "factor", factor)
+        if not isinstance(target, Gridpoint):
+            self.select(target)
+        return Applied(load, target, where, factor)
+
+    def gridpoint(self, near: Sequence[float], target: Any = None) -> Gridpoint:
+        """Handle of the gridpoint nearest to `near` [m] among the blocks of `target`."""
+        place = vector("gridpoint", "near", near)
+        self.select_blocks(target)
+        return Gridpoint((float(place[0]), float(place[1]), float(place[2])), target)
+
+    def is_joint_set(self, name: str) -> bool:
+        """Whether `name` is that of a joint set or mesh tag, so that it means faces."""
+        return bool({"joint set", "tag"} & self._names.kinds.get(name, set()))
+
+    def select(self, target: Any) -> list[tuple[Block, str | None]]:
+        """Blocks a selector means, each with the face tag that selects within it (None: all of it).
+
+        Raises
+        ------
+        SceneError
+            If the selection is empty or the selector unknown.
+        """
+        found: list[tuple[Block, str | None]]
+        if target is None:
+            found = [(block, None) for block in self.blocks]
+        elif isinstance(target, Block):
+            found = [(leaf, None) for leaf in target.leaves()]
+        elif isinstance(target, (list, tuple)):
+            found = list(dict.fromkeys(pair for entry in target for pair in self.select(entry)))
+        elif isinstance(target, str):
+            found = self._named(target)
+        else:
+            raise SceneError(f"selector {target!r}: allowed are a block, a list, a name, a group, a pattern, a joint set or a tag")
+        if not found:
+            raise SceneError(f"selector {target!r} selects nothing; known names: {', '.join(sorted(self._names.kinds)) or 'none'}")
+        return found
+
+    def _named(self, name: str) -> list[tuple[Block, str | None]]:
+        for handle in self.handles:
+            for block in _tree(handle):
+                if block.name == name:
+                    return [(leaf, None) for leaf in block.leaves()]
+        kinds = self._names.kinds.get(name, set())
+        blocks = self.blocks
+        if kinds == {"joint set"} or "tag" in kinds:
+            return [(block, name) for block in blocks if name in tags_of(block.shape)]
+        return [(b, None) for b in blocks if fnmatchcase(b.name, name) or (b.group is not None and fnmatchcase(b.group, name))]
+
+    def select_blocks(self, target: Any) -> list[Block]:
+        """Blocks a selector means, whatever selects within them."""
+        return list(dict.fromkeys(block for block, _ in self.select(target)))
+
+    def _where(self, what: str, blocks: list[Block], where: Where | None) -> list[Block]:
+        if where is None:
+            return blocks
+        mask = choose(what, where, np.array([block.shape.centroid for block in blocks]))
+        return [block for block, keep in zip(blocks, mask, strict=True) if keep]
+
+    @classmethod
+    def from_mesh(
+        cls, mesh_or_path: Any, body: Any, material: Any, split: Any = None, gravity: Sequence[float] = (0, 0, -9.81)
+    ) -> Scene:
+        """Scene from a volume mesh: one block per physical volume and connected part.
+
+        Parameters
+        ----------
+        mesh_or_path : path or mesh
+            What meshio reads, a meshio mesh or a `skfem.MeshTet`.
+        body, material
+            One value, or a dict by group pattern.
+        split : str or list of str, optional
+            Surface tags along which the mesh becomes several blocks.
+        gravity : (3,) array, optional
+            Acceleration of gravity [m/s^2].
+
+        Returns
+        -------
+        Scene
+            The scene; groups and tags are the mesh's.
+
+        Raises
+        ------
+        SceneError
+            If a group has no body or material, or a splitting surface ends inside.
+        """
+        from fdem.scene.reading import tet_blocks
+
+        scene = cls(gravity)
+        for shape, group in tet_blocks(mesh_or_path, split):
+            scene.add(shape, _by_group("body", body, group), _by_group("material", material, group), group=group)
+        for tag in [split] if isinstance(split, str) else split or []:
+            scene._names.take(tag, "tag")
+        return scene
+
+
+def _tree(block: Block) -> Iterator[Block]:
+    yield block
+    for piece in block.pieces:
+        yield from _tree(piece)
+
+
+def _by_group(what: str, value: Any, group: str | None) -> Any:
+    if not isinstance(value, dict):
+        return value
+    for pattern, entry in value.items():
+        if group is not None and fnmatchcase(group, pattern):
+            return entry
+    raise SceneError(f"from_mesh: group {group!r} has no {what}; given for {', '.join(map(str, value))}")
+
+
+def choose(what: str, where: Where, places: np.ndarray) -> np.ndarray:
+    """Mask (n,) of `places` that the user's `where` selects, its shape checked.
+
+    Raises
+    ------
+    SceneError
+        If it returns anything but n booleans.
+    """
+    mask = np.asarray(where(places))
+    if mask.shape != (len(places),) or mask.dtype != np.bool_:
+        raise SceneError(
+            f"{what}: where returned {mask.dtype} of shape {mask.shape} for {len(places)} places, expected bool of shape ({len(places)},)"
+        )
+    return mask

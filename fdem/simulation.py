@@ -1,0 +1,481 @@
+"""Simulation: a scene, an integrator and the loop that brings them together."""
+
+from __future__ import annotations
+
+import time as clock
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fdem import checkpoint
+from fdem.compile import Compiled, compile_scene
+from fdem.errors import SceneError
+from fdem.integrate.system import System
+from fdem.loads import Release
+from fdem.readout import Readout
+from fdem.results.energy import Ledger
+from fdem.results.history import Every, History, quantity
+from fdem.scene.scene import Applied, Fix, Gridpoint, Scene, Where
+from fdem.stopping import Watch
+from fdem.views import BlockView, GridpointView, LoadView
+
+__all__ = ["Report", "Simulation", "load"]
+
+CHECK_EVERY = 100  # steps between two looks for values that are not finite and for energy growth
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a `Simulation.solve` ended.
+
+    Attributes
+    ----------
+    converged : bool
+        Whether equilibrium was reached.
+    reason : str
+        "equilibrium", "cycles" or "collapse".
+    cycles : int
+        Steps taken.
+    ratio, start_ratio : float
+        Solve ratio at the end and at the start.
+    kinetic_ratio : float
+        Kinetic energy over its largest value of this solve.
+    remaining : float
+        Estimated displacement still to come over the largest displacement so far.
+    wall_time : float
+        [s].
+    """
+
+    converged: bool
+    reason: str
+    cycles: int
+    ratio: float
+    start_ratio: float
+    kinetic_ratio: float
+    remaining: float
+    wall_time: float
+
+
+class Simulation(Readout):
+    """A compiled scene that an integrator moves.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to simulate.
+    integrator : Explicit or Relaxation
+        How.
+    start : Simulation or path, optional
+        Another simulation (or a saved file) whose state goes over by block name. Fictitious time and
+        velocities of a Relaxation do not go over to another integrator.
+    threads : int, optional
+        Threads of the zone kernels; the bits do not depend on it. None: 1.
+    progress : bool, optional
+        Show progress on stderr; None: if it is a terminal.
+    energy : bool, optional
+        Keep the energy ledger.
+
+    Raises
+    ------
+    SceneError, JointError, MeshError
+        If the scene is wrong; before the first step.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        integrator: Any,
+        *,
+        start: Simulation | str | Path | None = None,
+        threads: int | None = None,
+        progress: bool | None = None,
+        energy: bool = True,
+    ) -> None:
+        if not isinstance(scene, Scene):
+            raise SceneError(f"Simulation: scene = {scene!r} is not a Scene")
+        if not callable(getattr(integrator, "step", None)):
+            raise SceneError(f"Simulation: integrator = {integrator!r} is not an integrator")
+        if threads is not None and (not isinstance(threads, int) or threads < 1):
+            raise SceneError(f"Simulation: threads = {threads!r}, allowed is a whole number >= 1")
+        self.scene, self.integrator = scene, replace(integrator)
+        self._threads, self._progress = threads or 1, progress
+        self.ledger = Ledger() if energy else None
+        self._observers: list[Any] = []
+        self._applied: dict[Applied, Applied] = {handle: replace(handle) for handle in scene.loads}
+        self._removed: frozenset[str] = frozenset()
+        self._releases: list[tuple[np.ndarray, np.ndarray, int, int]] = []
+        source = load(start, scene, integrator) if isinstance(start, (str, Path)) else start
+        if source is not None:
+            self._removed = source._removed
+            self._applied |= {key: replace(value) for key, value in source._applied.items() if key in self._applied}
+        self._compile()
+        if source is not None:
+            checkpoint.transfer(source, self)
+        self.integrator.start(self.system)
+        if self.ledger is not None:
+            self.ledger.entry(self.stored())
+
+    def _compile(self) -> None:
+        self.compiled: Compiled = compile_scene(self.scene, self._removed, list(self._applied.values()), self._threads)
+        self._make_system(self.compiled)
+        self.x0, self.centroids0 = self.state.x.copy(), self.centroids()
+        self.turned = np.zeros((self._n_rigid, 3))
+
+    def _make_system(self, compiled: Compiled) -> None:
+        self.model, self.state, self.drags = compiled.model, compiled.state, compiled.drags
+        loads = compiled.loads + [Release(None, gp, forces, at, over) for gp, forces, at, over in self._releases]
+        self.system = System(
+            compiled.model,
+            compiled.state,
+            compiled.contacts,
+            compiled.constraints,
+            loads,
+            compiled.alpha,
+            energy=self.ledger is not None,
+        )
+
+    @property
+    def dt(self) -> float:
+        """The time step now [s]."""
+        return float(self.integrator.step_length)
+
+    @property
+    def ratio(self) -> float:
+        """Solve ratio: largest unbalanced force over the largest force acting."""
+        return self.system.ratio()
+
+    def _steps(self, n: int, end: float | None = None) -> None:
+        """Take `n` steps, or as many as `end` [s] needs, stopping where observers are due."""
+        progress = self._start_progress(n, end)
+        observers = [*self._observers, *([progress] if progress is not None else [])]
+        done = 0
+        while done < n and (end is None or end - self.state.t > 1e-6 * self.dt):
+            due = min([n - done, CHECK_EVERY, *(o.next(self.state.step, self.state.t, self.dt) for o in observers)])
+            target = self.state.step + due
+            while self.state.step < target and (end is None or end - self.state.t > 1e-6 * self.dt):
+                self._step(self.dt if end is None else _fit(self.dt, end - self.state.t))
+                done += 1
+            self._check()
+            for observer in observers:
+                if observer.next(self.state.step - 1, self.state.t - self.system.dt, self.system.dt) <= 1:
+                    observer.record(self)
+        if progress is not None:
+            progress.finish()
+
+    def _step(self, dt: float) -> None:
+        self.integrator.step(self.system, dt)
+        if self._n_rigid:
+            self.turned += dt * self.state.v[: 6 * self._n_rigid].reshape(-1, 6)[:, 3:]
+
+    def _start_progress(self, n: int, end: float | None) -> Any:
+        if self._progress is False:
+            return None
+        from fdem.results.progress import Progress
+
+        left = None if end is None else end - self.state.t
+        progress = Progress(n if end is None else None, left, show=self._progress)
+        if not progress.active:
+            return None
+        progress.start(self)
+        return progress
+
+    def _check(self) -> None:
+        self.system.check()
+        deformable = self.model.deformable
+        if deformable is not None and (inverted := deformable.first_inverted(self.state.x)) is not None:
+            block = self.model.names[int(np.flatnonzero(self.model.zoned)[inverted[0]])]
+            gp = int(deformable.nodes_of(*inverted)[0])
+            self.system.unstable(gp, f"zone {inverted[1]} of block {block!r} is turned inside out")
+        if self.ledger is not None and not self.integrator.scaled:
+            entry = self.energy
+            if entry.error > 0.5 * self.ledger.turned and entry.closure > 0.0:
+                speed = np.linalg.norm(self.velocities(), axis=1)
+                self.system.unstable(
+                    int(np.argmax(speed)),
+                    f"energy has grown by {entry.error:.3g} J of {self.ledger.turned:.3g} J turned over; "
+                    f"the stable step is {self.integrator.limit(self.system):.4g} s",
+                )
+
+    def cycle(self, n: int) -> None:
+        """Advance by `n` steps."""
+        if not isinstance(n, (int, np.integer)) or n < 0:
+            raise SceneError(f"cycle: n = {n!r}, allowed is a whole number >= 0")
+        self._steps(int(n))
+
+    def run(self, time: float) -> None:
+        """Advance by `time` [s]; the last steps are shortened to end there."""
+        if not np.isfinite(time) or time < 0:
+            raise SceneError(f"run: time = {time!r}, allowed is a finite number >= 0")
+        if not np.isfinite(self.dt):
+            self.integrator.step_length = time / 1000.0  # nothing limits the step: free flight
+        self._steps(2**62, self.state.t + float(time))
+
+    def solve(self, ratio: float = 1e-5, max_cycles: int = 200_000) -> Report:
+        """Step until equilibrium, collapse or `max_cycles`.
+
+        Parameters
+        ----------
+        ratio : float, optional
+            Solve ratio to reach.
+        max_cycles : int, optional
+            Steps after which to give up.
+
+        Returns
+        -------
+        Report
+            Why it stopped, with ratio, kinetic energy and the displacement still to come.
+        """
+        begin, first = clock.perf_counter(), self.state.step
+        watch = Watch(self.system, ratio)
+        reason = watch.look()
+        while reason is None and self.state.step - first < max_cycles:
+            self._steps(min(watch.every, max_cycles - (self.state.step - first)))
+            reason = watch.look()
+        return Report(
+            converged=reason == "equilibrium",
+            reason=reason or "cycles",
+            cycles=self.state.step - first,
+            ratio=watch.ratio,
+            start_ratio=watch.start_ratio,
+            kinetic_ratio=watch.kinetic_ratio,
+            remaining=watch.remaining,
+            wall_time=clock.perf_counter() - begin,
+        )
+
+    def apply(self, load: Any, target: Any = None, where: Where | None = None, factor: Any = 1.0) -> Applied:
+        """Apply a load from now on (see `Scene.apply`)."""
+        handle = self.scene.applied(load, target, where, factor)
+        self._applied[handle] = replace(handle)
+        self._rebuild()
+        return handle
+
+    def excavate(self, target: Any = None, where: Where | None = None, over: int = 0) -> list[str]:
+        """Remove blocks; what they did to the others is released over so many cycles.
+
+        Parameters
+        ----------
+        target : selector, optional
+            Blocks to remove.
+        where : callable, optional
+            (n, 3) block centroids -> (n,) bool.
+        over : int, optional
+            Cycles of the release; 0: at once.
+
+        Returns
+        -------
+        list of str
+            Names of the blocks removed.
+
+        Raises
+        ------
+        SceneError
+            If nothing is selected, or everything.
+        """
+        if not isinstance(over, (int, np.integer)) or over < 0:
+            raise SceneError(f"excavate: over = {over!r}, allowed is a whole number >= 0")
+        chosen = self.scene._where("excavate", self.scene.select_blocks(target), where)
+        gone = [b.name for b in chosen if b.name not in self._removed]
+        if not gone:
+            raise SceneError(f"excavate: target {target!r} selects no block that is still there")
+        if over:
+            self._releases.append(self._tractions_of(gone, int(over)))
+        self._removed |= frozenset(gone)
+        self._rebuild()
+        return gone
+
+    def _tractions_of(self, gone: list[str], over: int) -> tuple[np.ndarray, np.ndarray, int, int]:
+        """Gridpoint forces that the blocks `gone` exert on the others."""
+        contacts, total = self.system.contacts, np.zeros_like(self.state.f_gp)
+        leaves = np.isin(self.model.names, gone)
+        if contacts is not None:
+            self.forces()
+            contacts.scatter_between(leaves, total)
+        total[leaves[self.model.gp_block]] = 0.0
+        gp = np.flatnonzero(np.any(total != 0.0, axis=1))
+        return gp, total[gp], self.state.step, over
+
+    def _rebuild(self) -> None:
+        """Compile again and move the state over: the one mechanism for every change on the way."""
+        before = self.stored() if self.ledger is not None else {}
+        self.forces()
+        self.system.commit()
+        old = checkpoint.Carrier(self)
+        self.compiled = compile_scene(self.scene, self._removed, list(self._applied.values()), self._threads)
+        number = old.gridpoints(self.compiled.model)
+        running = [entry for entry in self._releases if self.state.step - entry[2] < entry[3]]
+        self._releases = []
+        for gp, forces, at, over in running:
+            left = number[gp] >= 0
+            self._releases.append((number[gp][left], forces[left], at, over))
+        self._make_system(self.compiled)
+        self.x0, self.centroids0 = self.state.x.copy(), self.centroids()
+        self.turned = np.zeros((self._n_rigid, 3))
+        checkpoint.carry(old, self)
+        self.integrator.start(self.system)
+        if self.ledger is not None:
+            self.ledger.rebase(before, self.stored())
+
+    def reset(self, what: str = "displacement") -> None:
+        """Set "displacement", "velocity", "slip" or "time" to zero."""
+        if what == "displacement":
+            self.x0, self.centroids0 = self.state.x.copy(), self.centroids()
+            self.turned[:] = 0.0
+        elif what == "velocity":
+            self.state.v[:] = 0.0
+            self.system.lag = 0.0
+            self.system.current = False
+        elif what == "slip":
+            if self.system.contacts is not None:
+                self.system.contacts.reset_slip()
+                self.system.current = False
+        elif what == "time":
+            self.state.t = 0.0
+        else:
+            raise SceneError(f'reset: what = {what!r}, allowed are "displacement", "velocity", "slip", "time"')
+
+    def history(
+        self, target: Any, name: str | None = None, component: str | int | None = None, every: int | Every | None = 1
+    ) -> History:
+        """Record a quantity every so many steps.
+
+        Parameters
+        ----------
+        target : selector, Gridpoint, Applied, Fix, callable or str
+            What to watch; a callable is a function of the simulation; the name of a quantity of the
+            whole simulation ("ratio", "kinetic", ...) stands alone.
+        name : str, optional
+            Quantity, as in ``sim[target]``.
+        component : str or int, optional
+            "x", "y", "z", "xx", ..., or an index.
+        every : int or Every, optional
+            Steps between two records.
+
+        Returns
+        -------
+        History
+            With ``time``, ``steps``, ``values`` and ``unit``.
+        """
+        if callable(target):
+            history = History(target, every, name or "")
+        elif name is None:
+            getter, unit = quantity(target, component)
+            history = History(getter, every, str(target), unit)
+        else:
+            getter, unit = quantity(name, component)
+            history = History(lambda sim: getter(sim[target]), every, name, unit)
+        history.record(self)
+        self._observers.append(history)
+        return history
+
+    def observe(self, observer: Any) -> Any:
+        """Add an observer: anything with ``next(step, t, dt)`` and ``record(sim)``."""
+        for method in ("next", "record"):
+            if not callable(getattr(observer, method, None)):
+                raise SceneError(f"observe: observer = {observer!r} has no {method}()")
+        observer.record(self)
+        self._observers.append(observer)
+        return observer
+
+    def __getitem__(self, target: Any) -> Any:
+        """View of blocks, a gridpoint, a load or a support."""
+        if isinstance(target, Applied):
+            if target not in self._applied:
+                raise SceneError("this load was not applied to the scene or simulation")
+            return LoadView(self, self._applied[target])
+        if isinstance(target, Fix):
+            return LoadView(self, target)
+        if isinstance(target, Gridpoint):
+            return GridpointView(self, self.compiled.select.nearest(target))
+        rows = self.compiled.select.blocks(target, "sim[...]")
+        if not rows:
+            raise SceneError(f"sim[{target!r}]: all its blocks have been removed")
+        single = len(rows) == 1 and not isinstance(target, (list, tuple))
+        return BlockView(self, rows, single)
+
+    def pair_force(self, a: Any, b: Any) -> np.ndarray:
+        """Total force (3,) on `b` by `a` [N]."""
+        return self._pair(a, b)[0]
+
+    def pair_moment(self, a: Any, b: Any) -> np.ndarray:
+        """Total moment (3,) on `b` by `a` about b's centroid [N m]."""
+        return self._pair(a, b)[1]
+
+    def _pair(self, a: Any, b: Any) -> tuple[np.ndarray, np.ndarray]:
+        select, table = self.compiled.select, self.contact_table()
+        first, second = select.blocks(a, "pair"), select.blocks(b, "pair")
+        sign = np.where(np.isin(table["block_a"], first) & np.isin(table["block_b"], second), 1.0, 0.0)
+        sign -= np.isin(table["block_b"], first) & np.isin(table["block_a"], second)
+        force = sign[:, None] * table["force"]
+        weight = self.model.volume[second]
+        centre = weight @ (self.centroids()[second] + self.model.origin) / weight.sum()
+        return force.sum(axis=0), np.cross(table["position"] - centre, force).sum(axis=0)
+
+    def describe(self) -> str:
+        """What was compiled, what was left out and why, the step and what limits it."""
+        from fdem.description import describe
+
+        return describe(self)
+
+    def mesh(self) -> Any:
+        """Everything as one `pyvista.UnstructuredGrid`."""
+        from fdem.results.datasets import mesh
+
+        return mesh(self)
+
+    def contacts(self) -> Any:
+        """Contact points as `pyvista.PolyData`."""
+        from fdem.results.datasets import contacts
+
+        return contacts(self)
+
+    def plot(self, path: str | Path, scalars: str = "displacement", warp: float | str = 1.0, **options: Any) -> Path:
+        """Write an image with no display (options: `fdem.results.plot.plot`)."""
+        from fdem.results.plot import plot
+
+        return plot(self, path, scalars, warp, **options)
+
+    def save(self, path: str | Path) -> None:
+        """Save the state, so that `load` continues bit for bit."""
+        checkpoint.save(self, path)
+
+
+def _fit(dt: float, left: float) -> float:
+    """Step that lands on the end: the last two share what is left."""
+    if left <= dt * (1 + 1e-6):
+        return left
+    return 0.5 * left if left < 2 * dt else dt
+
+
+
+def load(path: str | Path, scene: Scene, integrator: Any, **options: Any) -> Simulation:
+    """Continue a saved simulation bit for bit.
+
+    Parameters
+    ----------
+    path : path
+        What `Simulation.save` wrote.
+    scene : Scene
+        The same scene, built again.
+    integrator : Explicit or Relaxation
+        The same integrator.
+    **options
+        As of `Simulation`.
+
+    Returns
+    -------
+    Simulation
+        At the saved time.
+
+    Raises
+    ------
+    CheckpointError
+        If the file cannot be read, does not fit the scene, or needs a callable that is missing.
+    """
+    saved = checkpoint.read(path)
+    sim = Simulation(scene, integrator, **options)
+    checkpoint.restore(saved, sim)
+    return sim
+
+

@@ -1,0 +1,98 @@
+"""When is a quasi-static run finished: equilibrium, collapse, or neither yet."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+__all__ = ["Watch"]
+
+
+class Watch:
+    """Looks at a system every so many cycles and says when to stop.
+
+    Parameters
+    ----------
+    system : System
+        What is solved.
+    target : float
+        Solve ratio to reach.
+
+    Notes
+    -----
+    *Equilibrium*: the unbalanced force ratio is at most `target`, and the displacement still to come,
+    estimated from a geometric decay of the motion per look, is at most 1000 times `target` (5 % at
+    most) of the largest displacement.
+
+    *Collapse*: over six windows, each half as long again as the one before (the last is longer than the
+    slowest mode that could still be swinging out), motion per cycle did not fall by more than 10 %
+    from window to window, it is not oscillation (net and summed motion agree within 20 %), the ratio
+    stays ten times above `target`, and the motion exceeds 1e-3 of the size of the moving block.
+    """
+
+    every = 25
+    windows = 6
+    first_window = 400
+
+    def __init__(self, system: Any, target: float) -> None:
+        self.system, self.target = system, float(target)
+        self.ratio = self.start_ratio = float("nan")
+        self.kinetic_ratio, self.remaining = 0.0, 0.0
+        self._kinetic_peak = 0.0
+        self._x_first = system.state.x.copy()
+        self._x_last = system.state.x.copy()
+        self._moved: list[float] = []
+        self._window = self.first_window
+        self._mark = (system.state.step, system.state.x.copy(), 0.0)
+        self._speeds: list[float] = []
+        self._path = 0.0
+        self._block_size = system.model.size[system.model.gp_block]
+
+    def look(self) -> str | None:
+        """Reason to stop, or None."""
+        system, x = self.system, self.system.state.x
+        self.ratio = system.ratio()
+        if np.isnan(self.start_ratio):
+            self.start_ratio = self.ratio
+        kinetic = system.kinetic()
+        self._kinetic_peak = max(self._kinetic_peak, kinetic)
+        self.kinetic_ratio = kinetic / self._kinetic_peak if self._kinetic_peak > 0 else 0.0
+        moved = float(np.sqrt(((x - self._x_last) ** 2).sum(axis=1).max()))
+        total = float(np.sqrt(((x - self._x_first) ** 2).sum(axis=1).max()))
+        self._x_last[:] = x
+        self._path += moved
+        self._moved = [*self._moved[-7:], moved]
+        self.remaining = self._estimate(total)
+        if self.ratio <= self.target and self.remaining <= min(0.05, 1e3 * self.target):
+            return "equilibrium"
+        return "collapse" if self._collapsing(x) else None
+
+    def _estimate(self, total: float) -> float:
+        """Sum of the geometric series the last looks suggest, over the displacement so far."""
+        if total == 0.0 or len(self._moved) < 2:
+            return 0.0
+        older, newer = max(self._moved[: len(self._moved) // 2]), max(self._moved[len(self._moved) // 2 :])
+        if older == 0.0:
+            return 0.0
+        decay = min((newer / older) ** (2.0 / len(self._moved)), 0.99)
+        return newer * decay / (1.0 - decay) / total
+
+    def _collapsing(self, x: np.ndarray) -> bool:
+        step = self.system.state.step
+        begin, x_begin, path_begin = self._mark
+        if step - begin < self._window:
+            return False
+        distance = np.sqrt(((x - x_begin) ** 2).sum(axis=1))
+        net, path = float(distance.max()), self._path - path_begin
+        straight = net >= 0.8 * path
+        speed = net / (step - begin)
+        self._speeds = [*self._speeds, speed] if straight else []
+        self._window = int(1.5 * self._window)
+        self._mark = (step, x.copy(), self._path)
+        recent = self._speeds[-self.windows :]
+        if len(recent) < self.windows or self.ratio < 10 * self.target:
+            return False
+        growing = all(b >= 0.9 * a for a, b in zip(recent, recent[1:], strict=False))
+        worst = int(np.argmax(distance))
+        return growing and net > 1e-3 * self._block_size[worst]
