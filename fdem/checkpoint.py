@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fdem.contact.carry import adopt
 from fdem.errors import CheckpointError
 from fdem.model import Model
 from fdem.scene import boundary
@@ -73,7 +74,7 @@ def carry(old: Carrier, sim: Simulation, *, motion: bool = True) -> None:
         sim.centroids0[after] = old.centroids0[before]
         _carry_block(old, sim, before, after, motion)
     if sim.system.contacts is not None and old.system.contacts is not None:
-        sim.system.contacts.adopt(old.system.contacts, np.array(old.rows(model)), old.gridpoints(model), state.x)
+        adopt(sim.system.contacts, old.system.contacts, np.array(old.rows(model)), old.gridpoints(model), state.x)
     if motion:
         for name in SCALARS:
             setattr(sim.system, name, getattr(old.system, name))

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fdem.contact.carry import notes
+
 if TYPE_CHECKING:
     from fdem.simulation import Simulation
 
@@ -17,13 +19,13 @@ def describe(sim: Simulation) -> str:
     model, contacts, integrator = sim.model, sim.system.contacts, sim.integrator
     lines = [
         f"fdem: {model.n_blocks} blocks, {len(model.X)} gridpoints, {len(model.zones)} zones, "
-        f"{len(sim.state.v)} unknowns, {0 if contacts is None else contacts.n_contacts} contact points",
+        f"{len(sim.state.v)} unknowns, {0 if contacts is None else 3 * contacts.n_patches} contact points",
         f"integrator: {integrator!r}",
         _step(sim),
     ]
     lines += model.notes
     if contacts is not None:
-        lines += contacts.notes()
+        lines += notes(contacts)
     if sim.ledger is None:
         lines.append("energy ledger: left out (energy=False)")
     if sim.system.f_load is None:

@@ -6,6 +6,7 @@ point of a rigid block is an affine combination of four of its gridpoints, which
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from fdem.errors import SceneError, SolveError
 __all__ = ["Bedding", "Dashpot", "DeadLoad", "Follower", "Load", "Release", "UserLoad"]
 
 
-class Load:
+class Load(ABC):
     """A load on gridpoints.
 
     Parameters
@@ -46,9 +47,9 @@ class Load:
             raise SolveError(f"load {self.handle.load!r}: factor = {result!r} at t = {t:g} s is not finite")
         return result
 
+    @abstractmethod
     def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
         """Forces (n, 3) [N] on the gridpoints."""
-        raise NotImplementedError
 
     def add(self, t: float, step: int, x: np.ndarray, xdot: np.ndarray | None, f_gp: np.ndarray) -> None:
         """Add the forces to `f_gp` [N]."""
@@ -155,6 +156,9 @@ class Release(Load):
     def __init__(self, handle: Any, gp: np.ndarray, forces: np.ndarray, start: int, over: int) -> None:
         super().__init__(handle, gp)
         self.forces, self.start, self.over = forces, start, over
+
+    def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        return self.forces
 
     def add(self, t: float, step: int, x: np.ndarray, xdot: np.ndarray | None, f_gp: np.ndarray) -> None:
         left = max(0.0, 1.0 - (step - self.start) / self.over)

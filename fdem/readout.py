@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from fdem.contact.carry import present
 from fdem.errors import UnsupportedError
 from fdem.integrate.system import System
 from fdem.model import Model
@@ -195,7 +196,7 @@ class Readout:
             empty |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
             empty |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
             return empty | {"joint_names": self.model.joint_names}
-        table = dict(contacts.table())
+        table = dict(contacts.table(self.state.x))
         table["position"] = table["position"] + self.model.origin
         table["joint_names"] = self.model.joint_names
         return table
@@ -245,11 +246,11 @@ class Readout:
         system, state, model = self.system, self.state, self.model
         self.forces()
         contacts = system.contacts
-        friction, damping = contacts.dissipated() if contacts is not None else (0.0, 0.0)
+        joint, friction, damping = (0.0, 0.0, 0.0) if contacts is None else present(contacts)
         return {
             "kinetic": float(system.kinetic()),
             "strain": float(sum(b.strain_energy(state.x) for b in model.batches)),
-            "joint": float(contacts.energy()) if contacts is not None else 0.0,
+            "joint": joint,
             "potential": float(sum(b.potential(model.gravity, state.x, state.q) for b in model.batches)),
             "friction": float(friction),
             "damping": float(damping + system.damped),

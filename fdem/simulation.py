@@ -11,6 +11,7 @@ import numpy as np
 
 from fdem import checkpoint
 from fdem.compile import Compiled, compile_scene
+from fdem.contact import carry
 from fdem.errors import SceneError
 from fdem.integrate.system import System
 from fdem.loads import Release
@@ -291,7 +292,7 @@ class Simulation(Readout):
         leaves = np.isin(self.model.names, gone)
         if contacts is not None:
             self.forces()
-            contacts.scatter_between(leaves, total)
+            carry.scatter_between(contacts, leaves, total)
         total[leaves[self.model.gp_block]] = 0.0
         gp = np.flatnonzero(np.any(total != 0.0, axis=1))
         return gp, total[gp], self.state.step, over
@@ -328,7 +329,7 @@ class Simulation(Readout):
             self.system.current = False
         elif what == "slip":
             if self.system.contacts is not None:
-                self.system.contacts.reset_slip()
+                carry.reset_slip(self.system.contacts)
                 self.system.current = False
         elif what == "time":
             self.state.t = 0.0

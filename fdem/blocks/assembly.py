@@ -57,9 +57,9 @@ def upper_block_rows(K: Any) -> tuple[Array, Array, Array, Array]:
 
     Returns
     -------
-    row_start : (n + 1,) int32 array
+    row_start : (n + 1,) uint32 array
         Blocks of every row.
-    column : (nnz,) int32 array
+    column : (nnz,) uint32 array
         Their block column.
     diagonal : (n, 6) array
         00 11 22 12 02 01 of the diagonal blocks [N/m].
@@ -73,10 +73,10 @@ def upper_block_rows(K: Any) -> tuple[Array, Array, Array, Array]:
     on, right = K.indices == row, K.indices > row
     diagonal = np.zeros((n, 6))
     diagonal[row[on]] = K.data[on][:, [0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
-    row_start = np.concatenate([[0], np.cumsum(np.bincount(row[right], minlength=n))]).astype(np.int32)
+    row_start = np.concatenate([[0], np.cumsum(np.bincount(row[right], minlength=n))]).astype(np.uint32)
     return (
         row_start,
-        np.ascontiguousarray(K.indices[right], dtype=np.int32),
+        K.indices[right].astype(np.uint32),
         diagonal,
         np.ascontiguousarray(K.data[right].reshape(-1, 9)),
     )

@@ -110,7 +110,8 @@ class ZonedBlocks:
             zone = int(np.argmin(self.zone_volume > 0.0))
             block = int(self.zone_block[zone])
             local = zone - int(self.zone_start[block])
-            raise MeshError(f"zoned block {block}: zone {local} has volume {self.zone_volume[zone]:.3g} m^3, must be > 0")
+            volume = self.zone_volume[zone]
+            raise MeshError(f"zoned block {block}: zone {local} has volume {volume:.3g} m^3, must be > 0")
         self.block_volume = np.add.reduceat(self.zone_volume, self.zone_start[:-1])
         self._set_masses(np.asarray(density, dtype=np.float64), list(mass))
         self._coupling: tuple[Array, Array, Array, Array] | None = None

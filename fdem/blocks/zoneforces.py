@@ -16,8 +16,8 @@ __all__ = ["LargeStrain", "SmallStrain", "elasticity", "voigt_strain"]
 
 Array = Any
 
-_CHUNK_ZONES = 4096  # a chunk's window stays in the fast cache
-_CHUNK_ROWS = 1024
+_CHUNK_ZONES = 8192  # a chunk's window of forces stays in the second cache
+_CHUNK_ROWS = 4096
 _THREAD_ZONES = 16384  # below this, waking a thread costs more than it saves
 
 
@@ -41,7 +41,7 @@ def _chunks(count: int, size: int) -> Array:
 def _windows(first: Array, last: Array) -> tuple[Array, Array, Array]:
     """First row of every window, where each starts in the buffer, and the buffer."""
     start = np.concatenate([[0], np.cumsum(last - first)]).astype(np.int32)
-    return first.astype(np.int32), start, np.empty((int(start[-1]), 3))
+    return first.astype(np.uint32), start, np.empty((int(start[-1]), 3))
 
 
 def _share(owner: ZonedBlocks, n_chunks: int, work: Callable[[int, int], None]) -> None:
@@ -69,7 +69,7 @@ class LargeStrain:
         self._owner = owner
         block = owner.zone_block[member]
         volume = owner.zone_volume[member]
-        self.nodes = np.ascontiguousarray(owner._nodes[member])
+        self.nodes = owner._nodes[member].astype(np.uint32)
         self.table = np.column_stack([owner.gradients[member], owner.lam[block] * volume, owner.mu[block] * volume])
         if owner.stress0 is None:
             self.stress0 = np.empty((0, 6))
@@ -123,12 +123,16 @@ class SmallStrain:
             self._set_prestress(owner.stress0[self.zones] * owner.zone_volume[self.zones, None])
         self.R, self.stretch = np.empty((self.blocks.size, 3, 3)), np.empty((self.blocks.size, 3, 3))
         self.y, self.g = np.zeros((n, 3)), np.empty((n, 3))
-        self.chunk_start = _chunks(n, _CHUNK_ROWS)
+        bounds = _chunks(n, _CHUNK_ROWS)
         reach = np.arange(n)
         filled = np.flatnonzero(np.diff(self.row_start))
         reach[filled] = np.maximum(filled, np.maximum.reduceat(self.column, self.row_start[filled]))
-        last = np.maximum.reduceat(reach, self.chunk_start[:-1]) + 1
-        self.chunk_row, self.window_start, self.windows = _windows(self.chunk_start[:-1], last)
+        last = np.maximum.reduceat(reach, bounds[:-1]) + 1
+        _, self.window_start, self.windows = _windows(bounds[:-1], last)
+        self.chunk_row = bounds.astype(np.uint32)
+        # columns count from the chunk's first row: the product of a chunk sees nothing but its window
+        first = np.repeat(self.chunk_row[:-1], np.diff(self.row_start[bounds].astype(np.int64)))
+        self.column -= first
         self.threaded = owner.threads > 1 and self.zones.size >= 2 * _THREAD_ZONES
 
     def _set_frame(self, n: int) -> None:
@@ -163,11 +167,11 @@ class SmallStrain:
         corotated.corotate(x, self.X, self.weight, self.arm, self.start, self.stop, self.R, self.stretch, self.y)
         np.copyto(self.g, self.prestress)
         data = (self.row_start, self.column, self.diagonal, self.upper, self.y)
-        partition = (self.chunk_start, self.chunk_row, self.window_start, self.windows)
+        partition = (self.chunk_row, self.window_start, self.windows)
         if self.threaded:
             _share(
                 self._owner,
-                self.chunk_row.size,
+                self.window_start.size - 1,
                 lambda lo, hi: corotated.block_row_chunks(*data, *partition, lo, hi),
             )
             corotated.add_windows(self.chunk_row, self.window_start, self.windows, self.g)

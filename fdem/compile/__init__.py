@@ -13,7 +13,9 @@ import numpy as np
 
 from fdem.compile.assembly import Layout, assemble, in_situ, lay_out
 from fdem.compile.joints import JointTables
-from fdem.compile.loads import Selector, compile_constraints, compile_loads
+from fdem.compile.loads import compile_loads
+from fdem.compile.select import Selector
+from fdem.compile.supports import compile_constraints
 from fdem.constraints import Constraints
 from fdem.loads import Load
 from fdem.model import Model
@@ -94,7 +96,7 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
         model.notes.append("contacts: left out, there are not two blocks of which one can move")
         return None
     from fdem.contact.contacts import Contacts, LawTable
-    from fdem.contact.surface import BlockSurface
+    from fdem.contact.surface import BlockSurface, Surfaces
 
     number = {tag: i for i, tag in enumerate(model.tags)}
     surfaces = []
@@ -116,17 +118,27 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
         )
     tables = JointTables(layout, select)
     model.notes.extend(tables.notes)
+    faces: list[Surfaces] = []
+
+    def assign(block_s: Any, block_m: Any, face_s: Any, face_m: Any, points: Any) -> Any:
+        if not faces:
+            faces.append(Surfaces.build(surfaces, state.x))
+        return tables.assign(block_s, block_m, faces[0].tag[face_s], faces[0].tag[face_m], points)
+
     contacts = Contacts(
         surfaces,
         state.x,
         gp_mass=model.gp_mass,
         laws=[LawTable(kernel, np.array(rows)) for kernel, rows in zip(tables.kernels, tables.rows, strict=True)],
-        assign=tables.assign,
+        assign=assign,
         gap_tolerance=layout.scene.gap_tolerance,
         names=model.names,
     )
     if any(isinstance(applied.load, Stress) for applied in layout.loads):
-        contacts.prestress(lambda places, blocks: in_situ(layout, places + model.origin, blocks))
+        owner = np.repeat(contacts.slave[contacts.patches.pair], 3)
+        stress = in_situ(layout, contacts.points(state.x) + model.origin, owner)
+        assert stress is not None
+        contacts.preload(state.x, stress)
     return contacts
 
 

@@ -283,8 +283,12 @@ def _rigid_batch(layout: Layout, rigid: list[int], X: np.ndarray, density: np.nd
     mass, inertia, centroid = np.zeros(len(rigid)), np.zeros((len(rigid), 3, 3)), np.zeros((len(rigid), 3))
     for row, i in enumerate(rigid):
         shape = layout.blocks[i].shape
-        rho = density[i] if density[i] > 0 else 1.0  # a platen without material: its mass is never used
+        # a platen without material moves as prescribed: its mass is never used, its weight must not matter
+        rho = density[i] if density[i] > 0 else 1e-30 * max(density.max(), np.finfo(float).tiny / 1e-30)
         mass[row], inertia[row] = rho * shape.volume, shape.inertia(rho)
+        if layout.blocks[i].fixed:
+            # equal moments: a prescribed spin then stays what it is within a step
+            inertia[row] = np.trace(inertia[row]) / 3.0 * np.eye(3)
         centroid[row] = shape.centroid - layout.origin
     start = np.append(layout.gp_range[rigid, 0], layout.gp_range[rigid[-1], 1])
     batch = RigidBlocks(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fdem.compile.assembly import Layout
-from fdem.compile.loads import Selector
+from fdem.compile.select import Selector
 from fdem.errors import FdemWarning, JointError
 from fdem.model import Model
 from fdem.scene.joints import Joint

@@ -31,94 +31,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fdem._jit import kernel
 
 OPEN, SLIPPING, CLOSED, INTACT = 3, 2, 1, 0
-
-
-@kernel
-def _row(
-    i, dt, gap, push, slip, normal, align, area, mass, kn, ks, peak, cohesion, tension, dilation, dilation_limit,
-    residual, residual_cohesion, damping, memory_old, memory, traction, work, state,
-):  # fmt: skip
-    """One contact point: linear springs, tension cut-off, friction cone, brittle loss of strength."""
-    for k in range(memory.shape[1]):
-        memory[i, k] = memory_old[i, k]
-    nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
-    a = area[i]
-    p = -kn * gap[i]
-    intact = memory_old[i, 3] > 0.0
-    s0, s1, s2 = memory_old[i, 0], memory_old[i, 1], memory_old[i, 2]
-    work[i, 0], work[i, 1] = 0.0, 0.0
-    if p < 0.0 and (not intact or p < -tension):
-        # the rest of the elastic energy is lost with the contact
-        work[i, 0] = 0.5 * a * ks * (s0 * s0 + s1 * s1 + s2 * s2)
-        if intact:
-            work[i, 0] += 0.5 * a * kn * gap[i] * gap[i]
-        memory[i, 0], memory[i, 1], memory[i, 2], memory[i, 3] = 0.0, 0.0, 0.0, 0.0
-        traction[i, 0], traction[i, 1], traction[i, 2], traction[i, 3] = 0.0, 0.0, 0.0, 0.0
-        state[i] = OPEN
-        return
-    # elastic slip stays in the plane of the frame and keeps its length when the frame turns
-    along = s0 * nx + s1 * ny + s2 * nz
-    length = s0 * s0 + s1 * s1 + s2 * s2
-    if along != 0.0:
-        s0, s1, s2 = s0 - along * nx, s1 - along * ny, s2 - along * nz
-        flat = s0 * s0 + s1 * s1 + s2 * s2
-        if flat > 0.0:
-            scale = math.sqrt(length / flat)
-            s0, s1, s2 = s0 * scale, s1 * scale, s2 * scale
-    if intact:
-        limit = cohesion + peak * p * align[i]
-    else:
-        limit = residual_cohesion + residual * p * align[i]
-    limit = max(limit, 0.0)
-    if align[i] == 0.0:
-        limit = 0.0
-    d0, d1, d2 = slip[i, 0], slip[i, 1], slip[i, 2]
-    along = d0 * nx + d1 * ny + d2 * nz
-    d0, d1, d2 = d0 - along * nx, d1 - along * ny, d2 - along * nz
-    state[i] = CLOSED
-    if intact:
-        t0, t1, t2 = s0 + d0, s1 + d1, s2 + d2
-        if ks * math.sqrt(t0 * t0 + t1 * t1 + t2 * t2) > limit:
-            memory[i, 3] = 0.0
-            limit = max(residual_cohesion + residual * max(p, 0.0) * align[i], 0.0)
-            p = max(p, 0.0)
-        elif cohesion > 0.0 or tension > 0.0:
-            state[i] = INTACT
-    if limit < math.inf:
-        # a cone that shrank releases energy first; then the slip of the step works against the cone
-        old = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
-        most = limit / ks if ks > 0.0 else 0.0
-        if old > most:
-            work[i, 0] += 0.5 * a * ks * (old * old - most * most)
-            s0, s1, s2 = s0 * (most / old), s1 * (most / old), s2 * (most / old)
-        s0, s1, s2 = s0 + d0, s1 + d1, s2 + d2
-        trial = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
-        if trial > most:
-            state[i] = SLIPPING
-            plastic = trial - most
-            widened = 0.0
-            if dilation > 0.0 and memory[i, 4] < dilation_limit and p > 0.0:
-                widened = dilation * min(plastic, dilation_limit - memory[i, 4])
-                memory[i, 5] += widened
-            work[i, 0] += a * (limit * plastic - p * widened)
-            memory[i, 4] += plastic
-            s0, s1, s2 = s0 * (most / trial), s1 * (most / trial), s2 * (most / trial)
-    else:
-        s0, s1, s2 = s0 + d0, s1 + d1, s2 + d2
-    memory[i, 0], memory[i, 1], memory[i, 2] = s0, s1, s2
-    if damping > 0.0 and dt > 0.0:
-        q = i // 3
-        closing = slip[i, 0] * push[q, 0] + slip[i, 1] * push[q, 1] + slip[i, 2] * push[q, 2]
-        extra = 2.0 * damping * math.sqrt(kn * mass[i]) * closing / dt
-        if p + extra < min(p, 0.0):  # a dashpot does not pull
-            extra = min(p, 0.0) - p
-        p += extra
-        work[i, 1] = a * extra * closing
-    traction[i, 0] = p
-    traction[i, 1], traction[i, 2], traction[i, 3] = -ks * s0, -ks * s1, -ks * s2
 
 
 @kernel
@@ -130,12 +47,87 @@ def coulomb(
         if area[i] == 0.0:
             state[i] = OPEN
             continue
-        k = prop[i // 3]
-        _row(
-            i, dt, gap, push, slip, normal, align, area, mass, props[k, 0], props[k, 1], props[k, 2], props[k, 3],
-            props[k, 4], props[k, 5], props[k, 6], props[k, 7], props[k, 8], props[k, 9],
-            memory_old, memory, traction, work, state,
-        )  # fmt: skip
+        j = prop[i // 3]
+        kn, ks, peak, cohesion, tension = props[j, 0], props[j, 1], props[j, 2], props[j, 3], props[j, 4]
+        dilation, dilation_limit = props[j, 5], props[j, 6]
+        residual, residual_cohesion, damping = props[j, 7], props[j, 8], props[j, 9]
+        for k in range(memory.shape[1]):
+            memory[i, k] = memory_old[i, k]
+        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
+        a = area[i]
+        p = -kn * gap[i]
+        intact = memory_old[i, 3] > 0.0
+        s0, s1, s2 = memory_old[i, 0], memory_old[i, 1], memory_old[i, 2]
+        work[i, 0], work[i, 1] = 0.0, 0.0
+        if p < 0.0 and (not intact or p < -tension):
+            # the rest of the elastic energy is lost with the contact
+            work[i, 0] = 0.5 * a * ks * (s0 * s0 + s1 * s1 + s2 * s2)
+            if intact:
+                work[i, 0] += 0.5 * a * kn * gap[i] * gap[i]
+            memory[i, 0], memory[i, 1], memory[i, 2], memory[i, 3] = 0.0, 0.0, 0.0, 0.0
+            traction[i, 0], traction[i, 1], traction[i, 2], traction[i, 3] = 0.0, 0.0, 0.0, 0.0
+            state[i] = OPEN
+            continue
+        # elastic slip stays in the plane of the frame and keeps its length when the frame turns
+        along = s0 * nx + s1 * ny + s2 * nz
+        length = s0 * s0 + s1 * s1 + s2 * s2
+        if along != 0.0:
+            s0, s1, s2 = s0 - along * nx, s1 - along * ny, s2 - along * nz
+            flat = s0 * s0 + s1 * s1 + s2 * s2
+            if flat > 0.0:
+                scale = math.sqrt(length / flat)
+                s0, s1, s2 = s0 * scale, s1 * scale, s2 * scale
+        if intact:
+            limit = cohesion + peak * p * align[i]
+        else:
+            limit = residual_cohesion + residual * p * align[i]
+        limit = max(limit, 0.0)
+        if align[i] == 0.0:
+            limit = 0.0
+        d0, d1, d2 = slip[i, 0], slip[i, 1], slip[i, 2]
+        along = d0 * nx + d1 * ny + d2 * nz
+        d0, d1, d2 = d0 - along * nx, d1 - along * ny, d2 - along * nz
+        state[i] = CLOSED
+        if intact:
+            t0, t1, t2 = s0 + d0, s1 + d1, s2 + d2
+            if ks * math.sqrt(t0 * t0 + t1 * t1 + t2 * t2) > limit:
+                memory[i, 3] = 0.0
+                limit = max(residual_cohesion + residual * max(p, 0.0) * align[i], 0.0)
+                p = max(p, 0.0)
+            elif cohesion > 0.0 or tension > 0.0:
+                state[i] = INTACT
+        if limit < math.inf:
+            # a cone that shrank releases energy first; then the slip of the step works against the cone
+            old = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
+            most = limit / ks if ks > 0.0 else 0.0
+            if old > most:
+                work[i, 0] += 0.5 * a * ks * (old * old - most * most)
+                s0, s1, s2 = s0 * (most / old), s1 * (most / old), s2 * (most / old)
+            s0, s1, s2 = s0 + d0, s1 + d1, s2 + d2
+            trial = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
+            if trial > most:
+                state[i] = SLIPPING
+                plastic = trial - most
+                widened = 0.0
+                if dilation > 0.0 and memory[i, 4] < dilation_limit and p > 0.0:
+                    widened = dilation * min(plastic, dilation_limit - memory[i, 4])
+                    memory[i, 5] += widened
+                work[i, 0] += a * (limit * plastic - p * widened)
+                memory[i, 4] += plastic
+                s0, s1, s2 = s0 * (most / trial), s1 * (most / trial), s2 * (most / trial)
+        else:
+            s0, s1, s2 = s0 + d0, s1 + d1, s2 + d2
+        memory[i, 0], memory[i, 1], memory[i, 2] = s0, s1, s2
+        if damping > 0.0 and dt > 0.0:
+            q = i // 3
+            closing = slip[i, 0] * push[q, 0] + slip[i, 1] * push[q, 1] + slip[i, 2] * push[q, 2]
+            extra = 2.0 * damping * math.sqrt(kn * mass[i]) * closing / dt
+            if p + extra < min(p, 0.0):  # a dashpot does not pull
+                extra = min(p, 0.0) - p
+            p += extra
+            work[i, 1] = a * extra * closing
+        traction[i, 0] = p
+        traction[i, 1], traction[i, 2], traction[i, 3] = -ks * s0, -ks * s1, -ks * s2
 
 
 @kernel
@@ -143,15 +135,13 @@ def bonded(
     lo, hi, dt, gap, push, slip, normal, align, area, mass, prop, props, memory_old, memory, traction, work, state
 ):  # fmt: skip
     """Glued until the shear or tension strength is exceeded, then Coulomb friction (arguments: top of file)."""
-    for i in range(lo, hi):
-        if area[i] == 0.0:
-            state[i] = OPEN
-            continue
-        k = prop[i // 3]
-        _row(
-            i, dt, gap, push, slip, normal, align, area, mass, props[k, 0], props[k, 1], 0.0, props[k, 3],
-            props[k, 4], 0.0, 0.0, props[k, 2], 0.0, 0.0, memory_old, memory, traction, work, state,
-        )  # fmt: skip
+    same = np.zeros((len(props), 10))  # a Coulomb joint with cohesion only, which leaves friction behind
+    same[:, 0:2] = props[:, 0:2]
+    same[:, 3:5] = props[:, 3:5]
+    same[:, 7] = props[:, 2]
+    coulomb(
+        lo, hi, dt, gap, push, slip, normal, align, area, mass, prop, same, memory_old, memory, traction, work, state
+    )  # fmt: skip
 
 
 @kernel

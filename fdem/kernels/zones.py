@@ -9,11 +9,12 @@ Arguments shared by the kernels of this file:
 
 ==============  ==================  =====================================================================
 x               (n_gp, 3) float64   positions [m]
-nodes           (m, 4) int32        gridpoints of every zone
+nodes           (m, 4) int          gridpoints of every zone; unsigned (uint32) indices save the test for
+                                    Python's negative ones in the force loop
 table           (m, 11) float64     gradients of shape functions 1, 2, 3 [1/m], lambda V, mu V [N m]
 stress0         (m, 6) float64      V times the initial 2nd Piola-Kirchhoff stress, xx yy zz yz zx xy [N m]
 chunk_start     (n_chunks + 1,)     zones of a chunk, int32
-chunk_gp        (n_chunks,) int32   first gridpoint of the chunk's window
+chunk_gp        (n_chunks,) uint32  first gridpoint of the chunk's window
 window_start    (n_chunks + 1,)     where a chunk's window starts in ``windows``, int32
 windows         (n, 3) float64      internal forces of the windows [N]
 f               (n_gp, 3) float64   forces, the internal force is subtracted [N]

@@ -7,8 +7,7 @@ before a picture is asked for.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from fdem.errors import SceneError
 from fdem.results import surfaces
 from fdem.results.datasets import contacts, group_ids, mesh
 from fdem.results.history import History
+from fdem.results.picture import Picture, Sheet
 from fdem.results.render import Layer, compose, curves, render
 from fdem.results.scales import NEUTRAL, PALETTE, STONES, limits_of, readable
 
@@ -100,13 +100,14 @@ def plot(
     if scalars not in (*_VECTORS, *_CONTACTS, *_NAMED, "stress"):
         known = ", ".join((*_VECTORS, "stress", *_NAMED, *_CONTACTS))
         raise SceneError(f"plot: unknown scalars {scalars!r}; known: {known}")
-    picture = _Picture(view, warp, hide, clip)
+    picture = Picture(view, warp, hide, clip)
     joints = scalars in _CONTACTS
     if joints and picture.clip is None and picture.thin is not None:
         # joints of a flat scene are seen edge on: cut it in its middle and show their traces
         picture.clip = (picture.look(None), picture.points[picture.used].mean(axis=0))
     sheet = picture.sheet(_nodal(view, scalars))
-    layers, scale = [], None
+    layers: list[Layer]
+    scale: Scale | None
     if joints:
         layers, scale = _joint_layers(picture, view, scalars, component, limits, cmap, sheet)
     elif scalars in _NAMED:
@@ -115,13 +116,16 @@ def plot(
         layers, scale = _field_layer(scalars, component, limits, cmap, sheet)
     ghost = joints and picture.clip is None
     if edges:
-        points, lines = picture.outlines()
+        points, lines, tag = picture.outlines()
+        if scalars == "joint":
+            lines = lines[tag < 0]
         layers.append(Layer(points, lines, color="#8b9095" if ghost else "#23272b", width=0.8 if ghost else 1.6))
     direction = picture.look(camera)
     image = render(layers, direction, parallel=picture.flat_look(camera), window_size=window_size)
     caption = f"t = {view.time:.4g} s, step {view.steps}"
     if picture.factor != 1.0:
         caption += f", displacements drawn \N{MULTIPLICATION SIGN} {picture.factor:.4g}"
+    caption += picture.note
     compose(image, Path(path), scale, direction=direction, caption=caption, title=title, window_size=window_size)
     return Path(path)
 
@@ -166,214 +170,6 @@ def history_plot(
 
 
 # ---------------------------------------------------------------------------------------------------------------------
-# what is drawn
-
-
-@dataclass
-class _Sheet:
-    """Visible triangles: points (n, 3), triangles (m, 3), nodal values (n, k), block and joint tag of each (m,)."""
-
-    points: Array
-    triangles: Ints
-    values: Array
-    block: Ints
-    tag: Ints
-
-
-@dataclass
-class _Picture:
-    """Positions to draw and the blocks to draw; the cut, if any."""
-
-    view: Any
-    warp: float | str
-    hide: Sequence[str | int]
-    clip: Any
-    factor: float = field(init=False)
-    thin: int | None = field(init=False)
-
-    def __post_init__(self) -> None:
-        model, view = self.model, self.view
-        self.shown = ~_hidden(model, self.hide)
-        self.triangles: Ints = model.triangles[self.shown[model.triangle_block]]
-        self.block: Ints = model.triangle_block[self.shown[model.triangle_block]]
-        self.tag: Ints = model.triangle_tag[self.shown[model.triangle_block]]
-        self.used = np.unique(self.triangles)
-        if not len(self.used):
-            raise SceneError("plot: nothing to draw, all blocks are hidden")
-        displacement = np.asarray(view.displacements())
-        positions = np.asarray(view.positions())
-        extent = np.ptp(positions[self.used], axis=0)
-        if self.warp == "auto":
-            largest = float(np.linalg.norm(displacement[self.used], axis=1).max())
-            self.factor = 0.05 * float(extent.max()) / largest if largest > 0.0 else 1.0
-            self.factor = float(f"{self.factor:.1g}")
-        elif isinstance(self.warp, str):
-            raise SceneError(f"plot: warp must be a number or 'auto', got {self.warp!r}")
-        else:
-            self.factor = float(self.warp)
-        self.points: Array = positions + (self.factor - 1.0) * displacement
-        order = np.argsort(extent)
-        self.thin = int(order[0]) if extent[order[0]] < 0.25 * extent[order[1]] else None
-        if self.clip is not None:
-            self.clip = _plane(self.clip)
-
-    @property
-    def model(self) -> Any:
-        """The model drawn."""
-        return self.view.model
-
-    def look(self, camera: str | Sequence[float] | None) -> Array:
-        """Find the unit vector from the scene to the eye."""
-        corner = np.array([0.55, -1.0, 0.55])
-        if camera is None:
-            if self.thin is not None:
-                direction = np.eye(3)[self.thin] * (-1.0 if self.thin == 1 else 1.0)
-            elif self.clip is not None:
-                normal = self.clip[0]
-                side = np.cross([0.0, 0.0, 1.0], normal)
-                direction = normal + 0.45 * side + (0.0 if abs(normal[2]) > 0.8 else 0.4) * np.array([0.0, 0.0, 1.0])
-                if abs(normal[2]) > 0.8:
-                    direction = normal + 0.7 * np.array([0.4, -1.0, 0.0])
-            else:
-                direction = corner
-        elif isinstance(camera, str):
-            axis = camera.lstrip("+-")
-            if camera == "iso":
-                direction = corner
-            elif axis in ("x", "y", "z"):
-                direction = np.eye(3)["xyz".index(axis)] * (-1.0 if camera.startswith("-") else 1.0)
-            else:
-                raise SceneError(f"plot: camera must be iso, x, -x, y, -y, z, -z or a direction, got {camera!r}")
-        else:
-            direction = np.asarray(camera, dtype=np.float64)
-            if direction.shape != (3,) or not np.linalg.norm(direction) > 0.0:
-                raise SceneError(f"plot: camera must be a direction (3,) that is not zero, got {camera!r}")
-        return np.asarray(direction / np.linalg.norm(direction))
-
-    def flat_look(self, camera: Any) -> bool:
-        """Whether one looks along an axis: then without perspective."""
-        return bool(np.abs(self.look(camera)).max() > 0.9999)
-
-    def sheet(self, nodal: Array) -> _Sheet:
-        """Surface of what is shown, cut open and capped if there is a clip."""
-        if self.clip is None:
-            return _Sheet(self.points, self.triangles, nodal, self.block, self.tag)
-        parts = [_below(self, nodal), *_zone_caps(self, nodal), *_block_caps(self, nodal)]
-        start = np.cumsum([0, *(len(part.points) for part in parts)])
-        return _Sheet(
-            np.concatenate([part.points for part in parts]),
-            np.concatenate([part.triangles + n for part, n in zip(parts, start[:-1], strict=True)]).astype(np.int32),
-            np.concatenate([part.values for part in parts]),
-            np.concatenate([part.block for part in parts]),
-            np.concatenate([part.tag for part in parts]),
-        )
-
-    def outlines(self) -> tuple[Array, Ints]:
-        """Points and lines (n, 2) of the edges of blocks, and of their traces in the cut."""
-        lines = surfaces.feature_edges(self.model.X, self.triangles)
-        if self.clip is None:
-            return self.points, lines
-        normal, origin = self.clip
-        distance = (self.points - origin) @ normal
-        a, b = lines.T
-        lines = lines[(distance[a] <= 0.0) | (distance[b] <= 0.0)]
-        ends = self.points[lines]
-        d = distance[lines]
-        for i, j in ((0, 1), (1, 0)):
-            over = d[:, i] > 0.0
-            share = (d[over, i] / (d[over, i] - d[over, j]))[:, None]
-            ends[over, i] += share * (ends[over, j] - ends[over, i])
-        cut = surfaces.section(self.points, self.triangles, normal, origin)
-        points = np.concatenate([ends.reshape(-1, 3), cut.interpolate(self.points)])
-        whole = np.arange(2 * len(ends), dtype=np.int32).reshape(-1, 2)
-        return points, np.concatenate([whole, cut.segments + 2 * len(ends)]).astype(np.int32)
-
-
-def _plane(clip: Any) -> tuple[Array, Array]:
-    """Check the plane of a cut; its unit normal and a point of it."""
-    try:
-        normal, origin = (np.asarray(part, dtype=np.float64) for part in clip)
-    except (TypeError, ValueError):
-        normal = origin = np.empty(0)
-    if normal.shape != (3,) or origin.shape != (3,) or not np.linalg.norm(normal) > 0.0:
-        raise SceneError(f"plot: clip must be (normal, origin), each (3,), got {clip!r}")
-    return normal / np.linalg.norm(normal), origin
-
-
-def _hidden(model: Any, hide: Sequence[str | int]) -> NDArray[np.bool_]:
-    """Blocks that are not drawn, (n_blocks,)."""
-    hidden = np.zeros(len(model.names), dtype=bool)
-    for what in [hide] if isinstance(hide, str) else hide:
-        if isinstance(what, (int, np.integer)):
-            found = np.arange(len(hidden)) == what
-        else:
-            pairs = zip(model.names, model.groups, strict=True)
-            found = np.array([any(fnmatchcase(name or "", what) for name in pair) for pair in pairs])
-        if not found.any():
-            raise SceneError(f"plot: hide={what!r} is no block, name or group")
-        hidden |= found
-    return hidden
-
-
-def _below(picture: _Picture, nodal: Array) -> _Sheet:
-    """Part of the surface that the cut leaves."""
-    import pyvista as pv
-
-    data = pv.PolyData.from_regular_faces(picture.points, picture.triangles)
-    data.point_data["values"] = nodal
-    data.cell_data["block"], data.cell_data["tag"] = picture.block, picture.tag
-    left = data.clip(normal=picture.clip[0], origin=picture.clip[1]).triangulate()
-    if not left.n_cells:
-        raise SceneError("plot: clip leaves nothing to draw")
-    return _sheet_of(left)
-
-
-def _sheet_of(data: Any) -> _Sheet:
-    values = np.asarray(data.point_data["values"], dtype=np.float64).reshape(data.n_points, -1)
-    triangles = np.asarray(data.regular_faces, dtype=np.int32)
-    block, tag = (np.asarray(data.cell_data[name], dtype=np.int32) for name in ("block", "tag"))
-    return _Sheet(np.asarray(data.points, dtype=np.float64), triangles, values, block, tag)
-
-
-def _zone_caps(picture: _Picture, nodal: Array) -> list[_Sheet]:
-    """Zones cut by the plane."""
-    import pyvista as pv
-
-    model = picture.model
-    shown = picture.shown[model.zone_block] if len(model.zones) else np.empty(0, dtype=bool)
-    above = (picture.points - picture.clip[1]) @ picture.clip[0] > 0.0
-    side = above[model.zones[shown]]
-    crossed = np.flatnonzero(shown)[side.any(axis=1) & ~side.all(axis=1)]
-    if not len(crossed):
-        return []
-    grid = pv.UnstructuredGrid({pv.CellType.TETRA: model.zones[crossed]}, picture.points)
-    grid.point_data["values"] = nodal
-    grid.cell_data["block"] = model.zone_block[crossed]
-    grid.cell_data["tag"] = np.full(len(crossed), -1, dtype=np.int32)
-    cut = grid.slice(normal=picture.clip[0], origin=picture.clip[1]).triangulate()
-    return [_sheet_of(cut)] if cut.n_cells else []
-
-
-def _block_caps(picture: _Picture, nodal: Array) -> list[_Sheet]:
-    """Blocks without zones cut by the plane."""
-    model = picture.model
-    bare = ~np.asarray(model.zoned, dtype=bool)[picture.block]
-    triangles, owner = picture.triangles[bare], picture.block[bare]
-    cut = surfaces.section(picture.points, triangles, *picture.clip)
-    if not len(cut.segments):
-        return []
-    points, block = cut.interpolate(picture.points), owner[cut.triangle]
-    faces, faces_block = [], []
-    for b in np.unique(block):
-        filled = surfaces.cap(points, cut.segments[block == b], picture.clip[0])
-        faces.append(filled)
-        faces_block.append(np.full(len(filled), b, dtype=np.int32))
-    triangles = np.concatenate(faces)
-    tag = np.full(len(triangles), -1, dtype=np.int32)
-    return [_Sheet(points, triangles, cut.interpolate(nodal), np.concatenate(faces_block), tag)]
-
-
-# ---------------------------------------------------------------------------------------------------------------------
 # how it is coloured
 
 
@@ -410,7 +206,7 @@ def _nodal(view: Any, scalars: str) -> Array:
 
 
 def _field_layer(
-    scalars: str, component: str | None, limits: Any, cmap: str | None, sheet: _Sheet
+    scalars: str, component: str | None, limits: Any, cmap: str | None, sheet: Sheet
 ) -> tuple[list[Layer], Scale]:
     """Blocks coloured by a field."""
     if scalars == "stress":
@@ -467,7 +263,7 @@ def _scaled(
     return factor * values, Scale(f"{label} [{shown_unit}]", (factor * low, factor * high), name, extend)
 
 
-def _named_layer(picture: _Picture, scalars: str, sheet: _Sheet) -> tuple[list[Layer], Scale | None]:
+def _named_layer(picture: Picture, scalars: str, sheet: Sheet) -> tuple[list[Layer], Scale | None]:
     """Blocks coloured by number, group or joint set."""
     model = picture.model
     if scalars == "block":
@@ -479,19 +275,26 @@ def _named_layer(picture: _Picture, scalars: str, sheet: _Sheet) -> tuple[list[L
         index = group[sheet.block]
     else:
         index, names = sheet.tag, [str(tag) for tag in model.tags]
-    seen = np.unique(index)
+    traces = None
+    if scalars == "joint":
+        points, lines, tag = picture.outlines()
+        traces = (points, lines[tag >= 0], tag[tag >= 0])
+    seen = np.unique(index if traces is None else np.concatenate([index, traces[2]]))
     names = [name or "no group" for name in names]
     rank = {int(k): i for i, k in enumerate(k for k in seen if k >= 0)}
     colors = [PALETTE[rank.get(k, 0) % len(PALETTE)] for k in range(len(names))]
     entries = [(names[k], colors[k]) for k in rank]
     if (seen < 0).any():
         entries.append(("other faces", NEUTRAL))
-    layer = Layer(sheet.points, sheet.triangles, index=index, colors=colors)
-    return [layer], Scale("joint set" if scalars == "joint" else "group", entries=tuple(entries))
+    layers = [Layer(sheet.points, sheet.triangles, index=index, colors=colors)]
+    if traces is not None and len(traces[1]):
+        # where joints meet a face that is none of them, their traces say which they are
+        layers.append(Layer(traces[0], traces[1], index=traces[2], colors=colors, width=8.0))
+    return layers, Scale("joint set" if scalars == "joint" else "group", entries=tuple(entries))
 
 
 def _joint_layers(
-    picture: _Picture, view: Any, scalars: str, component: str | None, limits: Any, cmap: str | None, sheet: _Sheet
+    picture: Picture, view: Any, scalars: str, component: str | None, limits: Any, cmap: str | None, sheet: Sheet
 ) -> tuple[list[Layer], Scale]:
     """Joints painted on the faces they act on, or on their traces in the cut."""
     table = view.contact_table()
@@ -511,9 +314,14 @@ def _joint_layers(
     shown = values[contact]
     assert scale.limits is not None
     # the small would hide the large behind it
-    if scalars != "traction":
-        large = np.abs(shown) > 0.05 * max(abs(scale.limits[0]), abs(scale.limits[1]))
-        cells, shown = cells[large], shown[large]
+    least = 0.05 * max(abs(scale.limits[0]), abs(scale.limits[1])) if scalars != "traction" else 0.0
+    if picture.clip is None and len(shown):
+        least = max(least, float(np.quantile(np.abs(shown), 0.75)))
+    large = np.abs(shown) >= least
+    cells, shown = cells[large], shown[large]
+    if least > 0.0:
+        unit = scale.title[scale.title.index("[") + 1 : -1]
+        picture.note = f", joints from {least:.2g} {unit} on shown"
     opacity = 1.0 if picture.clip is not None else 0.05
     layers = [Layer(sheet.points, sheet.triangles, color="#dedcd6", opacity=opacity)]
     if len(cells) and picture.clip is not None:
@@ -524,45 +332,47 @@ def _joint_layers(
     return layers, scale
 
 
-def _patches(picture: _Picture, table: Any) -> tuple[Array, Ints, Ints]:
+def _patches(picture: Picture, table: Any) -> tuple[Array, Ints, Ints]:
     """Pieces of faces that carry a contact: points, triangles, contact of each; one of the two sides."""
+    # contacts are where blocks are, faces are drawn where `warp` puts them: both places side by side
+    places = np.hstack([picture.positions, picture.points])
     lower = np.isin(picture.block, table["block_a"])
     triangles, block = picture.triangles[lower], picture.block[lower]
-    outward = surfaces.normals(picture.points, triangles)
+    outward = surfaces.normals(picture.positions, triangles)
     size = 0.8 * float(np.sqrt(np.median(table["area"]))) if len(table["area"]) else 0.0
     extent = float(np.ptp(picture.points[picture.used], axis=0).max())
-    points, pieces, parent = surfaces.refine(picture.points, triangles, max(size, 0.005 * extent))
-    reference = points[pieces].mean(axis=1)
+    places, pieces, parent = surfaces.refine(places, triangles, max(size, 0.005 * extent))
+    reference = places[pieces, :3].mean(axis=1)
     contact = surfaces.paint(table, reference, outward[parent], block[parent])
     good = contact >= 0
     good[good] = np.asarray(table["block_a"])[contact[good]] == block[parent][good]
-    return points, pieces[good], contact[good]
+    return np.ascontiguousarray(places[:, 3:]), pieces[good], contact[good]
 
 
-def _traces(picture: _Picture, table: Any) -> tuple[Array, Ints, Ints]:
+def _traces(picture: Picture, table: Any) -> tuple[Array, Ints, Ints]:
     """Traces of joints in the cut: points, lines, contact of each."""
     normal, origin = picture.clip
     cut = surfaces.section(picture.points, picture.triangles, normal, origin)
-    points = cut.interpolate(picture.points)
-    outward = surfaces.normals(picture.points, picture.triangles)[cut.triangle]
+    places = cut.interpolate(np.hstack([picture.positions, picture.points]))
+    outward = surfaces.normals(picture.positions, picture.triangles)[cut.triangle]
     block = picture.block[cut.triangle]
-    a, b = points[cut.segments[:, 0]], points[cut.segments[:, 1]]
+    a, b = places[cut.segments[:, 0]], places[cut.segments[:, 1]]
     # pieces of about a contact's size, so that each shows its own
     size = float(np.sqrt(np.median(table["area"]))) if len(table["area"]) else np.inf
     extent = float(np.ptp(picture.points[picture.used], axis=0).max())
-    length = np.linalg.norm(b - a, axis=1)
+    length = np.linalg.norm((b - a)[:, :3], axis=1)
     n = np.maximum(1, np.ceil(length / max(0.5 * size, 0.002 * extent))).astype(int)
     which = np.repeat(np.arange(len(n)), n)
     place = (np.arange(len(which)) - np.repeat(np.cumsum(n) - n, n))[:, None]
     start = a[which] + place / n[which, None] * (b - a)[which]
     end = a[which] + (place + 1) / n[which, None] * (b - a)[which]
-    contact = surfaces.paint(table, 0.5 * (start + end), outward[which], block[which])
+    contact = surfaces.paint(table, 0.5 * (start + end)[:, :3], outward[which], block[which])
     good = contact >= 0
     lines = np.arange(2 * int(good.sum()), dtype=np.int32).reshape(-1, 2)
-    return np.stack([start[good], end[good]], axis=1).reshape(-1, 3), lines, contact[good]
+    return np.stack([start[good, 3:], end[good, 3:]], axis=1).reshape(-1, 3), lines, contact[good]
 
 
-def _ribbons(picture: _Picture, points: Array, lines: Ints, values: Array) -> tuple[Array, Ints, Array]:
+def _ribbons(picture: Picture, points: Array, lines: Ints, values: Array) -> tuple[Array, Ints, Array]:
     """Lines of the cut as bands of triangles that lie on it, the larger values above the smaller."""
     normal = picture.clip[0]
     extent = float(np.ptp(picture.points[picture.used], axis=0).max())

@@ -53,6 +53,7 @@ class Progress:
         self._width = 0
         self._last: tuple[float, int] = (0.0, 0)
         self._rate = 0.0
+        self._due = 0  # step at which the line is written again
 
     def start(self, view: Any) -> None:
         """Remember where the run starts."""
@@ -64,7 +65,7 @@ class Progress:
         """Count the steps until the line is written again: about five times a second of wall time."""
         if not self.active:
             return NEVER
-        return max(1, int(self._rate * self.refresh))
+        return max(1, self._due - step)
 
     def record(self, view: Any) -> None:
         """Write the line."""
@@ -78,6 +79,7 @@ class Progress:
         if wall > 0.0 and step > self._last[1]:
             self._rate = (step - self._last[1]) / wall
             self._last = (now, step)
+        self._due = step + max(1, int(self._rate * self.refresh))
         done = self._done(view)
         text = f"step {step}  t = {view.time:.4g} s  {self._rate:.4g} steps/s"
         if self._ratio is not None:

@@ -80,7 +80,7 @@ def _window_class() -> Iterator[None]:
 
 def _can_render() -> bool:
     """Whether VTK finds a way to render; it falls back from EGL to OSMesa itself, but not on to an error."""
-    import vtkmodules.vtkRenderingOpenGL2
+    import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  (registers the kinds of windows)
     from vtkmodules.vtkRenderingCore import vtkRenderWindow
 
     name = vtkRenderWindow().GetClassName()
@@ -163,7 +163,9 @@ def _add(plotter: Any, layer: Layer) -> None:
         options: dict[str, Any] = {"line_width": layer.width, "lighting": False}
     else:
         data = pv.PolyData.from_regular_faces(points, local)
-        options = {"ambient": 0.56, "diffuse": 0.9, "specular": 0.0, "smooth_shading": False, "lighting": layer.lit}
+        options = {"ambient": 0.56, "diffuse": 0.9, "specular": 0.0, "smooth_shading": False, "lighting": True}
+    if not lines and not layer.lit:
+        options |= {"ambient": 0.0, "diffuse": 1.0, "lighting": False}
     options |= {"opacity": layer.opacity, "show_scalar_bar": False, "copy_mesh": False}
     if layer.values is not None:
         at_points = len(layer.values) == len(layer.points) != len(layer.cells)
@@ -275,7 +277,7 @@ def compose(
         mappable = ScalarMappable(Normalize(*scale.limits), scale.cmap)
         bar = figure.colorbar(mappable, cax=figure.add_axes(box), extend=scale.extend)
         bar.ax.tick_params(labelsize=10, length=3, colors=_INK)
-        bar.outline.set_linewidth(0.5)  # type: ignore[operator]
+        bar.outline.set_linewidth(0.5)
         bar.set_label(scale.title, size=11, color=_INK, labelpad=8)
     elif scale is not None:
         handles = [Patch(facecolor=color, edgecolor=_INK, linewidth=0.5, label=name) for name, color in scale.entries]
@@ -323,8 +325,8 @@ def _triad(figure: Any, direction: Array, page: tuple[int, int]) -> None:
 
 def _trimmed(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Image without the empty margin."""
-    ink = (image < 250).any(axis=2)
-    rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
+    ink = np.any(image < 250, axis=2)
+    rows, columns = np.flatnonzero(np.any(ink, axis=1)), np.flatnonzero(np.any(ink, axis=0))
     if not len(rows):
         return image
     pad = 12
@@ -347,6 +349,9 @@ def curves(panels: dict[str, list[tuple[str, Array, Array]]], path: Path, across
         axes.set_ylabel(f"{names[0] if single else 'value'} [{shown}]")
         if names and not single:
             axes.legend(frameon=False, fontsize=9)
+        values = np.concatenate([y for _, _, y in items])
+        if unit == "-" and len(values) and values.min() > 0.0 and values.max() > 1e3 * values.min():
+            axes.set_yscale("log")
         axes.grid(color="#e3e5e7", linewidth=0.7)
         axes.spines[["top", "right"]].set_visible(False)
         axes.margins(x=0.01)

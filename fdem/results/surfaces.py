@@ -23,7 +23,7 @@ def normals(points: Array, triangles: Ints) -> Array:
     return np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
 
 
-def feature_edges(points: Array, triangles: Ints, angle: float = 20.0) -> Ints:
+def feature_edges(points: Array, triangles: Ints, angle: float = 20.0) -> tuple[Ints, Ints]:
     """Edges where a surface bends, or ends.
 
     Parameters
@@ -37,11 +37,13 @@ def feature_edges(points: Array, triangles: Ints, angle: float = 20.0) -> Ints:
 
     Returns
     -------
-    (k, 2) int32 array
+    edges : (k, 2) int32 array
         Points of the edges.
+    sides : (k, 2) int32 array
+        Triangles on both sides; twice the same at an end.
     """
     if not len(triangles):
-        return np.empty((0, 2), dtype=np.int32)
+        return np.empty((0, 2), dtype=np.int32), np.empty((0, 2), dtype=np.int32)
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
     owner = np.repeat(np.arange(len(triangles)), 3)
     key = edges[:, 0] * len(points) + edges[:, 1]
@@ -50,9 +52,11 @@ def feature_edges(points: Array, triangles: Ints, angle: float = 20.0) -> Ints:
     first = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
     count = np.diff(np.append(first, len(key)))
     normal = normals(points, triangles)
-    second = np.minimum(first + 1, len(key) - 1)
+    second = np.where(count > 1, np.minimum(first + 1, len(key) - 1), first)
     cosine = np.einsum("ij,ij->i", normal[owner[first]], normal[owner[second]])
-    return edges[first[(count != 2) | (cosine < np.cos(np.radians(angle)))]].astype(np.int32)
+    bent = (count != 2) | (cosine < np.cos(np.radians(angle)))
+    sides = np.stack([owner[first], owner[second]], axis=1)
+    return edges[first[bent]].astype(np.int32), sides[bent].astype(np.int32)
 
 
 @dataclass(frozen=True)
@@ -136,9 +140,11 @@ def cap(points: Array, segments: Ints, normal: Array) -> Ints:
 def refine(points: Array, triangles: Ints, size: float, limit: int = 200_000) -> tuple[Array, Ints, Ints]:
     """Split triangles in four until their edges are no longer than `size` or there are too many.
 
+    Points may have more columns than the three that lengths are taken from; all are interpolated.
+
     Returns
     -------
-    points : (n, 3) array
+    points : (n, ...) array
         Points, first those given.
     triangles : (m, 3) int32 array
         Triangles.
@@ -148,7 +154,7 @@ def refine(points: Array, triangles: Ints, size: float, limit: int = 200_000) ->
     parent = np.arange(len(triangles), dtype=np.int32)
     while len(triangles) < limit:
         corner = points[triangles]
-        longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1, initial=0.0)
+        longest = np.linalg.norm((corner - np.roll(corner, 1, axis=1))[:, :, :3], axis=2).max(axis=1, initial=0.0)
         large = longest > size
         if not large.any():
             break

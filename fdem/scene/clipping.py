@@ -17,13 +17,30 @@ from fdem.errors import MeshError
 from fdem.scene.polygons import area_vector, plane_basis, regions, trace, triangulate
 from fdem.scene.polyhedra import Polyhedron
 
-__all__ = ["Face", "Plane", "Pool", "as_polyhedron", "complement", "components", "divide", "faces_of", "heights"]
+__all__ = [
+    "CavityError",
+    "Face",
+    "Plane",
+    "Pool",
+    "as_polyhedron",
+    "complement",
+    "components",
+    "divide",
+    "faces_of",
+    "heights",
+    "pinched",
+    "sides",
+]
 
 # vertices within this part of the size (and of the coordinates' round-off) of a plane lie on it
 SNAP = 1e-9
 ROUND_OFF = 8.0 * float(np.finfo(np.float64).eps)
 
 Point = tuple[float, float, float]
+
+
+class CavityError(MeshError):
+    """A cut would leave a hollow block."""
 
 
 class Plane(NamedTuple):
@@ -75,7 +92,14 @@ class Pool:
             a, b, da, db = b, a, db, da
         t = da / (da - db)
         p, q = self.points[a], self.points[b]
-        self.points.append((p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1]), p[2] + t * (q[2] - p[2])))
+        new = (p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1]), p[2] + t * (q[2] - p[2]))
+        near = 1e-3 * self.tolerance
+        for k, o in enumerate(self.points):
+            # the same edge met by the same plane after it had been divided elsewhere
+            if abs(o[0] - new[0]) <= near and abs(o[1] - new[1]) <= near and abs(o[2] - new[2]) <= near:
+                self._made[key] = k
+                return k
+        self.points.append(new)
         self._made[key] = len(self.points) - 1
         self.parents[self._made[key]] = (a, b)
         return self._made[key]
@@ -163,7 +187,7 @@ def divide(
         else:
             # a face in the plane belongs to the solid behind it
             (below if _dot(area_vector(_ring_points(pool, face)), plane.normal) > 0.0 else above).append(face)
-    caps = _caps(pool, above, d, plane.normal)
+    caps = _caps(pool, above + below, d, plane.normal)
     above += [Face(loop, tag, -1) for loop in caps]
     below += [Face(loop[::-1], tag, -1) for loop in caps]
     if not (_closed(above) and _closed(below)):
@@ -246,7 +270,9 @@ def _side(pool: Pool, ring: list[int], d: dict[int, float], normal: Point, sign:
 
 def _chains(ring: list[int], d: dict[int, float], sign: float) -> list[list[int]]:
     """Stretches of a ring on one side of the plane, with the vertices on the plane at both ends."""
-    start = next(k for k, v in enumerate(ring) if sign * d[v] <= 0.0)
+    start = next((k for k, v in enumerate(ring) if sign * d[v] <= 0.0), -1)
+    if start < 0:
+        raise MeshError("the section of a face does not close")
     chains: list[list[int]] = []
     turned = ring[start:] + ring[: start + 1]
     for k, v in enumerate(turned):
@@ -285,25 +311,41 @@ def _linked(
     return loops
 
 
-def _caps(pool: Pool, above: list[Face], d: dict[int, float], normal: Point) -> list[list[int]]:
-    """The section as loops that close the part above the plane (counter-clockwise from below)."""
-    owner: dict[tuple[int, int], Face] = {}
-    for face in above:
+def _caps(pool: Pool, faces: Iterable[Face], d: dict[int, float], normal: Point) -> list[list[int]]:
+    """The section as loops that close the part above the plane (counter-clockwise from below).
+
+    `faces` are those of both sides. At every edge in the plane the faces around it, sorted by angle, tell
+    whether solid lies in the plane left and right of it.
+    """
+    around: dict[tuple[int, int], list[tuple[float, bool]]] = {}
+    for face in faces:
+        signs = [d[v] for v in face.loop]
         for k, b in enumerate(face.loop):
-            if d[b] == 0.0 and d[face.loop[k - 1]] == 0.0:
-                owner[(face.loop[k - 1], b)] = face
-    edges = [
-        (b, a) for (a, b), face in owner.items() if (b, a) not in owner or _reflex(pool, a, b, face, owner[(b, a)])
-    ]
+            a = face.loop[k - 1]
+            if d[a] != 0.0 or d[b] != 0.0:
+                continue
+            key = (min(a, b), max(a, b))
+            axis = _minus(pool.points[key[1]], pool.points[key[0]])
+            into = _cross(area_vector(_ring_points(pool, face)), axis)
+            sign = 1.0 if a < b else -1.0
+            left = sign * _dot(into, _cross(normal, axis))
+            if max(signs) > 0.0 or min(signs) < 0.0:
+                # a face that is off the plane stays so, whatever the round-off
+                up = abs(_dot(into, normal)) * (1.0 if max(signs) > 0.0 else -1.0)
+                angle = float(np.arctan2(up, left * _dot(axis, axis) ** -0.5))
+            else:
+                angle = 0.0 if left > 0.0 else np.pi
+            around.setdefault(key, []).append((angle, a < b))
+    edges: list[tuple[int, int]] = []
+    for (a, b), found in around.items():
+        for start, edge in ((0.0, (b, a)), (np.pi, (a, b))):
+            # solid lies clockwise of faces that run along the edge; a face in the plane is no cap
+            gap, forward = min(((angle - start) % (2.0 * np.pi), forward) for angle, forward in found)
+            if forward and gap > 0.0:
+                edges.append(edge)
     vertices = sorted({v for edge in edges for v in edge})
-    return regions(trace(edges, xy := _plane_coordinates(pool, vertices, [-x for x in normal])), xy)
-
-
-def _reflex(pool: Pool, a: int, b: int, one: Face, other: Face) -> bool:
-    """Whether the solid fills more than a half turn between two faces at the edge a-b of `one`."""
-    edge = _minus(pool.points[a], pool.points[b])
-    into = _cross(area_vector(_ring_points(pool, other)), edge)
-    return _dot(area_vector(_ring_points(pool, one)), into) > 0.0
+    xy = _plane_coordinates(pool, vertices, [-x for x in normal])
+    return regions(trace(edges, xy), xy)
 
 
 def _plane_coordinates(pool: Pool, vertices: Sequence[int], normal: Sequence[float]) -> dict[int, tuple[float, float]]:
@@ -367,8 +409,19 @@ def components(pool: Pool, faces: list[Face]) -> list[list[Face]]:
         groups.setdefault(find(i), []).append(face)
     parts = list(groups.values())
     if len(parts) > 1 and any(_signed_volume(pool, part) < 0.0 for part in parts):
-        raise MeshError("the cut leaves a cavity inside a block: cut the block by a plane through the cavity first")
+        raise CavityError("the cut leaves a cavity inside a block: cut the block by a plane through the cavity first")
     return parts
+
+
+def pinched(faces: Sequence[Face]) -> tuple[int, int] | None:
+    """An edge in which a solid touches itself, None if there is none."""
+    seen: set[tuple[int, int]] = set()
+    for face in faces:
+        for edge in sides(face.loop):
+            if edge in seen:
+                return edge
+            seen.add(edge)
+    return None
 
 
 def _wedges(

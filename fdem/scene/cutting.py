@@ -13,6 +13,7 @@ import numpy as np
 from fdem.errors import MeshError, SceneError
 from fdem.scene.checks import number, vector
 from fdem.scene.clipping import (
+    CavityError,
     Face,
     Plane,
     Point,
@@ -23,6 +24,8 @@ from fdem.scene.clipping import (
     divide,
     faces_of,
     heights,
+    pinched,
+    sides,
 )
 from fdem.scene.polygons import Array, area_vector
 from fdem.scene.shapes import Polyhedron, Shape
@@ -294,8 +297,8 @@ def _divide(
                 components(pool, above)
                 components(pool, below)
             return above, below, caps
-        except MeshError as error:
-            problem = error
+        except (MeshError, ZeroDivisionError) as error:
+            problem = str(error)
     raise MeshError(f"a plane at {plane.origin} cannot cut a block of size {size:g}: {problem}")
 
 
@@ -314,8 +317,7 @@ def _split_by_planes(
                 after.append(piece)
                 continue
             above, below, _ = _divide(pool, piece, plane, tag, shape.size)
-            after += components(pool, below) if below else []
-            after += components(pool, above) if above else []
+            after += _solids(pool, below, tag, shape.size) + _solids(pool, above, tag, shape.size)
         pieces = after
     return pool, pieces
 
@@ -332,7 +334,7 @@ def _split_by_disc(shape: Polyhedron, disc: Disc, tag: str | None) -> tuple[Pool
     centre = np.array(disc.centre)
     if not any(_touches(np.array([pool.points[v] for v in cap]) - centre, disc) for cap in caps):
         return pool, [faces]
-    return pool, components(pool, below) + components(pool, above)
+    return pool, _solids(pool, below, tag, shape.size) + _solids(pool, above, tag, shape.size)
 
 
 def _touches(loop: Array, disc: Disc) -> bool:
@@ -382,6 +384,8 @@ def _face_plane(pool: Pool, face: Face) -> Plane:
     ring = [pool.points[v] for v in face.loop]
     x, y, z = area_vector(ring)
     length = float(np.sqrt(x * x + y * y + z * z))
+    if length == 0.0:
+        raise MeshError(f"a face of the cut at {ring[0]} has no area")
     return Plane(min(ring), (x / length, y / length, z / length))
 
 
@@ -410,11 +414,33 @@ def _split_by_solid(shape: Polyhedron, solid: Polyhedron, tag: str | None) -> li
     """Pieces of a shape inside and outside a closed solid."""
     if (shape.bounds[0] >= solid.bounds[1]).any() or (shape.bounds[1] <= solid.bounds[0]).any():
         return [(shape, False)]
+    parts = _convex_parts(solid)
+    try:
+        pool, outside, inside = _inside_outside(shape, parts, tag)
+    except CavityError:
+        raise
+    except (MeshError, ZeroDivisionError):
+        # the cutter touches the block in an unlucky way: leave it divided along the planes of the cutter
+        pool, outside, inside = _cells(shape, parts, tag)
+    if not inside:
+        return [(shape, False)]
+    if not outside:
+        return [(shape, True)]
+    pieces: list[tuple[Shape, bool]] = []
+    for group, within in ((outside, False), (inside, True)):
+        pieces += [(as_polyhedron(pool, piece, shape.name), within) for piece in group]
+    return pieces
+
+
+Divided = tuple[Pool, list[list[Face]], list[list[Face]]]
+
+
+def _inside_outside(shape: Polyhedron, parts: list[list[Plane]], tag: str | None) -> Divided:
+    """Solids of a shape outside and inside all convex parts of a cutter, each in one piece."""
     pool = Pool(shape)
     block = faces_of(shape, pool)
     outside = [block]
     inside: list[list[Face]] = []
-    parts = _convex_parts(solid)
     for planes in parts:
         left: list[list[Face]] = []
         for piece in outside:
@@ -422,15 +448,50 @@ def _split_by_solid(shape: Polyhedron, solid: Polyhedron, tag: str | None) -> li
             inside += [core] if core else []
             left += rest
         outside = left
-    if not inside:
-        return [(shape, False)]
-    if not outside:
-        return [(shape, True)]
-    remaining = [face for piece in outside for face in piece]
-    # several convex parts meet inside the cutter: the inside in one piece is what the outside leaves
-    core = inside[0] if len(inside) == 1 else complement(pool, block, remaining)
-    pieces: list[tuple[Shape, bool]] = [(as_polyhedron(pool, p, shape.name), False) for p in outside]
-    return pieces + [(as_polyhedron(pool, p, shape.name), True) for p in components(pool, core)]
+    if len(inside) > 1 and outside:
+        # several convex parts meet inside the cutter: the inside in one piece is what the outside leaves
+        inside = [complement(pool, block, [face for piece in outside for face in piece])]
+    return (
+        pool,
+        [solid for piece in outside for solid in _solids(pool, piece, tag, shape.size)],
+        [solid for piece in inside for solid in _solids(pool, piece, tag, shape.size)],
+    )
+
+
+def _cells(shape: Polyhedron, parts: list[list[Plane]], tag: str | None) -> Divided:
+    """Solids of a shape outside and inside the convex parts of a cutter, divided along all planes of the parts."""
+    pool = Pool(shape)
+    outside = [faces_of(shape, pool)]
+    inside: list[list[Face]] = []
+    for planes in parts:
+        left: list[list[Face]] = []
+        for piece in outside:
+            core = [piece]
+            for plane in planes:
+                halves = [_divide(pool, solid, plane, tag, shape.size)[:2] for solid in core]
+                left += [solid for above, _ in halves for solid in _solids(pool, above, tag, shape.size)]
+                core = [solid for _, below in halves for solid in _solids(pool, below, tag, shape.size)]
+            inside += core
+        outside = left
+    return pool, outside, inside
+
+
+def _solids(pool: Pool, faces: list[Face], tag: str | None, size: float, depth: int = 0) -> list[list[Face]]:
+    """Connected solids; one that touches itself in an edge is divided there along one of its faces."""
+    out: list[list[Face]] = []
+    for solid in components(pool, faces) if faces else []:
+        edge = pinched(solid)
+        halves: tuple[list[Face], list[Face]] = ([], [])
+        for face in solid if edge is not None and depth < 12 else []:
+            if edge in sides(face.loop) and not (halves[0] and halves[1]):
+                halves = _divide(pool, solid, _face_plane(pool, face), tag, size)[:2]
+        if halves[0] and halves[1]:
+            out += [part for half in halves for part in _solids(pool, half, tag, size, depth + 1)]
+        elif edge is not None:
+            raise MeshError(f"a block touches itself in an edge at {pool.points[edge[0]]}")
+        else:
+            out.append(solid)
+    return out
 
 
 def _taken(

@@ -21,6 +21,7 @@ Array = Any
 _RECIPES = ((10, False), (10, True), (1, False), (1, True))
 _GOOD = 0.1  # altitude over the shortest surface edge: below it another recipe is tried
 _TINY = 1e-9  # volume over the cube of the longest edge below which a zone is refused
+_VOLUME = 1e-5  # the zones must fill the block to this part
 _FAN = 1.25  # convex blocks within this many sizes of their centroid may be fanned
 _RENUMBER = 256  # points from which the order of memory matters
 
@@ -106,6 +107,32 @@ def _fan(triangles: Array, apex: int) -> Array:
     return np.column_stack([triangles[:, ::-1], np.full(len(triangles), apex)]).astype(np.int32)
 
 
+@dataclass(frozen=True)
+class _Surface:
+    """A closed surface mesh in the order and the places that gmsh sees."""
+
+    shape: Any
+    size: float
+    points: Array  # (n, 3) [m]
+    places: Array  # (n, 3) normalised and rounded
+    triangles: Array
+    middle: Array
+    extent: float
+
+    def fan(self) -> tuple[Array, Array]:
+        """The centroid, and the tets that join it to all triangles."""
+        return np.asarray(self.shape.centroid)[None, :], _fan(self.triangles, len(self.points))
+
+    def judged(self, inside: Array, tets: Array) -> tuple[float, Array, Array] | None:
+        """The mesh with its smallest altitude, which sets the stable step; None if it does not fill the block."""
+        points = np.concatenate([self.points, inside])
+        tets = _positive(points, tets)
+        volume = float(_volumes6(points, tets).sum()) / 6.0
+        if abs(volume - self.shape.volume) > _VOLUME * self.shape.volume or not _acceptable(points, tets):
+            return None
+        return _smallest_altitude(points, tets), inside, tets
+
+
 def _filled(
     gmsh: Any, shape: Any, size: float, points: Array, triangles: Array, owner: Array, block: int
 ) -> ZoneMesh:
@@ -113,62 +140,45 @@ def _filled(
     lower, upper = points.min(axis=0), points.max(axis=0)
     extent, middle = float((upper - lower).max()), 0.5 * (lower + upper)
     places = np.rint((points - middle) / (extent * ROUND))
+    # numbers by place: what gmsh sees does not depend on how the scene was listed
     order = np.lexsort(places.T[::-1])
     number = np.empty(len(order), dtype=np.int64)
     number[order] = np.arange(len(order))
-    points, places = points[order], places[order] * ROUND
     triangles, owner = _sorted_triangles(number[triangles], owner)
-    relative = float(np.rint(min(size / extent, 4.0) / ROUND) * ROUND)
-    inside, tets = _best_fill(gmsh, shape, size, points, places, triangles, relative, middle, extent, block)
-    points = np.concatenate([points, inside])
-    return _renumbered(points, tets, triangles, owner)
+    surface = _Surface(shape, size, points[order], places[order] * ROUND, triangles, middle, extent)
+    inside, tets = _best_fill(gmsh, surface, block)
+    return _renumbered(np.concatenate([surface.points, inside]), tets, triangles, owner)
 
 
-def _best_fill(
-    gmsh: Any, shape: Any, size: float, points: Array, places: Array, triangles: Array, relative: float,
-    middle: Array, extent: float, block: int,
-) -> tuple[Array, Array]:
+def _best_fill(gmsh: Any, surface: _Surface, block: int) -> tuple[Array, Array]:
     """Points inside [m] and tets by the first good recipe, else by the best of all."""
-    best: tuple[float, Array, Array] | None = None
+    points, shape = surface.points, surface.shape
     if len(points) == 4:
         return np.empty((0, 3)), _positive(points, np.array([[0, 1, 2, 3]], dtype=np.int32))
-    wanted = _GOOD * _shortest_edge(points, triangles)
-    if shape.is_convex and np.linalg.norm(points - shape.centroid, axis=1).max() <= _FAN * size:
-        centre = np.asarray(shape.centroid)[None, :]
-        best = _better(best, points, centre, _fan(triangles, len(points)))
-        if best is not None and best[0] >= 3.0 * wanted:
-            return best[1], best[2]
+    wanted = _GOOD * _shortest_edge(points, surface.triangles)
+    found = []
+    if shape.is_convex and np.linalg.norm(points - shape.centroid, axis=1).max() <= _FAN * surface.size:
+        found = [mesh for mesh in [surface.judged(*surface.fan())] if mesh]
+        if found and found[0][0] >= 3.0 * wanted:
+            return found[0][1:]
+    relative = float(np.rint(min(surface.size / surface.extent, 4.0) / ROUND) * ROUND)
     for algorithm, netgen in _RECIPES:
-        try:
-            inside, tets = fill_surface(gmsh, places, triangles, relative, algorithm, netgen)
-        except Exception:  # gmsh raises bare Exceptions; the next recipe may do better
+        filled = fill_surface(gmsh, surface.places, surface.triangles, relative, algorithm, netgen)
+        if filled is None or not _keeps_surface(filled[1], surface.triangles):
             continue
-        inside = middle + extent * inside
-        if len(tets) and tets.min() >= 0 and _keeps_surface(tets, triangles):
-            best = _better(best, points, inside, tets.astype(np.int32))
-        if best is not None and best[0] >= wanted:
-            break
-    if best is None and shape.is_convex:
-        centre = np.asarray(shape.centroid)[None, :]
-        best = _better(best, points, centre, _fan(triangles, len(points)))
-    if best is None:
+        mesh = surface.judged(surface.middle + surface.extent * filled[0], filled[1].astype(np.int32))
+        if mesh:
+            found.append(mesh)
+            if mesh[0] >= wanted:
+                break
+    if not found and shape.is_convex:
+        found = [mesh for mesh in [surface.judged(*surface.fan())] if mesh]
+    if not found:
         raise MeshError(
-            f"block {block}: gmsh cannot fill its surface ({len(triangles)} triangles, volume {shape.volume:.3g} m^3) "
-            "with zones; is it thinner than 1e-6 of its length, or does it touch itself?"
+            f"block {block}: gmsh cannot fill its surface ({len(surface.triangles)} triangles, volume "
+            f"{shape.volume:.3g} m^3) with zones; is it thinner than 1e-6 of its length, or does it touch itself?"
         )
-    return best[1], best[2]
-
-
-def _better(
-    best: tuple[float, Array, Array] | None, points: Array, inside: Array, tets: Array
-) -> tuple[float, Array, Array] | None:
-    """Keep the mesh with the larger smallest altitude: it has the larger stable step."""
-    full = np.concatenate([points, inside])
-    tets = _positive(full, tets)
-    if not _acceptable(full, tets):
-        return best
-    altitude = _smallest_altitude(full, tets)
-    return (altitude, inside, tets) if best is None or altitude > best[0] else best
+    return max(found, key=lambda mesh: mesh[0])[1:]
 
 
 def _volumes6(points: Array, tets: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,7 @@ class SharedSurfaces:
                 root = connected_components(graph, directed=False)[1]
         _, first, ids = np.unique(root, return_index=True, return_inverse=True)
         self._corners = points[first]
-        self._ids = [ids[a:b].tolist() for a, b in zip(start[:-1], start[1:], strict=True)]
+        self._ids = [ids[a:b].tolist() for a, b in pairwise(start)]
 
     def _flat_faces(self, block: int) -> list[tuple[list[int], int]]:
         """Loops of shared vertex numbers and the face each belongs to; faces that are not flat by triangles."""
@@ -187,10 +188,10 @@ class SharedSurfaces:
         relative = float(np.rint(min(size / extent, 1e3) / ROUND) * ROUND)
         area = _area2(plane)
         for algorithm in _ALGORITHMS:
-            try:
-                inside, triangles = mesh_polygon(gmsh, rounded, divisions, relative, algorithm)
-            except Exception:  # gmsh raises bare Exceptions; the next algorithm may do better
+            meshed = mesh_polygon(gmsh, rounded, divisions, relative, algorithm)
+            if meshed is None:
                 continue
+            inside, triangles = meshed
             full = np.concatenate([self._in_plane(boundary, middle, u, v), inside * extent])
             if _covers(full, triangles, area, len(boundary)):
                 break

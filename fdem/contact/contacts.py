@@ -1,0 +1,494 @@
+"""Contacts: every pair of blocks, every law, one table of contact points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdem.contact import table
+from fdem.contact.broad import REACH, block_skins, candidate_pairs, master_first
+from fdem.contact.history import inherit_history, inherit_laws, known_offsets
+from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
+from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
+from fdem.errors import CheckpointError, OverlapError, SceneError
+from fdem.kernels import joints
+from fdem.kernels import patches as kernels
+
+__all__ = ["Contacts", "LawTable"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+GAP = 1e-3  # default gap tolerance, of the smaller block's size
+PARALLEL = float(np.cos(np.radians(15.0)))
+TOUCH = 1e-6  # of the size: gap below which a contact exists at compile when the gap tolerance is off
+
+
+@dataclass
+class LawTable:
+    """One joint law and the properties of all joints that use it.
+
+    Parameters
+    ----------
+    kernel : str or callable
+        "coulomb", "bonded", or a kernel with the signature at the top of kernels/joints.py.
+    props : (n_props, k) array
+        Columns 0 and 1 are kn and ks [Pa/m].
+    memory : int
+        Columns of history the law needs (at least 6 are kept).
+    needs : set of str
+        "bonds": points do not move while the intact flag is set (law carries tension);
+        "damping": the law reads `mass`. The built-in laws find out from their properties.
+    """
+
+    kernel: str | Callable[..., None]
+    props: Array
+    memory: int = 6
+    needs: frozenset[str] = field(default_factory=frozenset)
+
+    def __post_init__(self) -> None:
+        self.props = np.atleast_2d(np.ascontiguousarray(self.props, dtype=float))
+        if isinstance(self.kernel, str) and self.kernel not in ("coulomb", "bonded"):
+            raise SceneError(f"joint law {self.kernel!r}: known names are 'coulomb' and 'bonded'")
+        self.sweep = getattr(joints, self.kernel) if isinstance(self.kernel, str) else self.kernel
+        n = len(self.props)
+        known = isinstance(self.kernel, str)
+        coulomb = self.kernel == "coulomb"
+        self.tensile = self.props[:, 4] > 0.0 if known else np.full(n, "bonds" in self.needs)
+        self.dilates = self.props[:, 5] > 0.0 if coulomb else np.full(n, "dilation" in self.needs)
+        self.damped = bool((self.props[:, 9] > 0.0).any()) if coulomb else "damping" in self.needs
+
+
+class Contacts:
+    """All contacts of a model.
+
+    Parameters
+    ----------
+    blocks : sequence of BlockSurface
+    x : (n_gp, 3) array
+        Positions at compile [m].
+    gp_mass : (n_gp,) array
+        Mass of every gridpoint; for blocks that move affinely the block's mass [kg].
+    laws : sequence of LawTable
+    assign : callable
+        ``assign(block_s, block_m, face_s, face_m, points) -> (law, prop[, joint])``, int arrays; law -1: no contact.
+        Faces index `surfaces.tag` and `surfaces.source`.
+    may_touch : callable, optional
+        ``may_touch(block_a, block_b) -> mask``.
+    gap_tolerance : float, optional
+        [m]; gaps and overlaps of parallel faces below it are taken as zero; None: 1e-3 of the smaller block; 0: off.
+    names : sequence of str, optional
+        Block names for messages.
+    prune : float
+        Patches smaller than this part of the pair's largest are dropped; 0: none.
+    clip_always : bool
+        Cut all patches anew in every `update` (energy-exact impacts).
+
+    Raises
+    ------
+    SceneError
+        Two blocks overlap by more than the gap tolerance; names them.
+
+    Notes
+    -----
+    A row's relative motion is ``sum_k w_k x[gp_k]``: + on the slave, - on the master. Rows 3 i .. 3 i + 2 belong to
+    patch i. `forces` works on trial memory and may be repeated; `commit` makes the last trial the history.
+    """
+
+    def __init__(
+        self,
+        blocks: Sequence[BlockSurface],
+        x: Array,
+        *,
+        gp_mass: Array,
+        laws: Sequence[LawTable],
+        assign: Callable[..., Any],
+        may_touch: Callable[..., Any] | None = None,
+        gap_tolerance: float | None = None,
+        names: Sequence[str] | None = None,
+        prune: float = 1e-4,
+        clip_always: bool = False,
+    ) -> None:
+        self.surfaces = Surfaces.build(blocks, x)
+        s = self.surfaces
+        self.laws, self.assign, self.may_touch = tuple(laws), assign, may_touch
+        self.names = list(names) if names is not None else [str(i) for i in range(s.n_blocks)]
+        self.prune, self.clip_always, self.gap_tolerance = prune, clip_always, gap_tolerance
+        self.n_memory = max([6] + [law.memory for law in laws])
+        self._geometry = FaceGeometry.of(s)
+        self._skins = block_skins(s)
+        self._mobile_gp = np.zeros(len(x), dtype=bool)
+        for b in blocks:
+            self._mobile_gp[b.gp[0] : b.gp[1]] = not b.fixed
+        with np.errstate(divide="ignore"):
+            self._inverse_gp = np.where(self._mobile_gp, 1.0 / np.asarray(gp_mass, dtype=float), 0.0)
+            inverse_block = np.where(np.isfinite(s.mass), 1.0 / s.mass, 0.0)
+        self._inverse_block = np.where((s.affine == 1) | (s.fixed == 1), inverse_block, -1.0)
+        self.work = np.zeros(2)
+        self.n_detections, self.n_cuts = 0, 0
+        self._stored: float | None = 0.0
+        self._trial = False  # whether the working arrays hold a trial that is not committed
+        self.x_ref, self.x_check = x.copy(), x.copy()
+        self.pairs = np.zeros((0, 2), np.int32)
+        self.patches = Patches.none(self.n_memory)
+        self.ghosts = Ghosts()
+        self.report: dict[str, float] = {}
+        self._start(x)
+
+    # ------------------------------------------------------------------ detection
+
+    def _start(self, x: Array) -> None:
+        """First detection: reference gaps, intact flags, refusal of overlapping blocks."""
+        self.pairs = candidate_pairs(self.surfaces, x, self._skins, self.may_touch)
+        self._orient()
+        cut = self._cut(np.arange(len(self.pairs), dtype=np.int32), x, self.patches, raise_deep=SceneError)
+        p = cut.patches
+        size = np.minimum(self.surfaces.size[self.slave[p.pair]], self.surfaces.size[self.master[p.pair]])
+        tolerance = np.full(len(p), self.gap_tolerance) if self.gap_tolerance is not None else GAP * size
+        owner = np.repeat(np.arange(len(p)), np.diff(p.start))
+        w0 = 1.0 - p.corners.sum(axis=1)
+        at_corners = np.einsum("ij,ij->i", np.column_stack([w0, p.corners]), cut.plane_depth[owner])
+        shallow = np.full(len(p), -np.inf)
+        np.maximum.at(shallow, owner, np.abs(at_corners))
+        fit = (cut.align > PARALLEL) & (shallow <= tolerance)
+        if self.gap_tolerance is None or self.gap_tolerance > 0.0:
+            p.offset[fit] = cut.plane_depth[fit]
+            bad = np.flatnonzero((cut.depth > tolerance) & ~fit & ((p.flags & kernels.FACING) > 0))
+            if len(bad):
+                worst = bad[np.argmax(cut.depth[bad])]
+                raise SceneError(
+                    f"blocks {self._pair_names(p.pair[worst])} overlap by {cut.depth[worst]:.3g} m at the start, more than "
+                    f"gap_tolerance = {tolerance[worst]:.3g} m"
+                )
+        touching = fit if self.gap_tolerance is None or self.gap_tolerance > 0.0 else cut.depth > -TOUCH * size
+        touching = touching & ((p.flags & kernels.FACING) > 0)
+        p.memory_old[np.repeat(touching, 3), 3] = 1.0
+        p.points_old[:] = p.ref_points
+        p.active_old[:] = touching
+        relative = np.abs(p.offset).max(axis=1) / size if len(p) else np.zeros(0)
+        self.report = {
+            "pairs": float(len(self.pairs)),
+            "patches": float(len(p)),
+            "gaps closed": float(fit.sum()),
+            "largest gap / size": float(relative.max(initial=0.0)),
+        }
+        self._install(p, cut.ghosts, x)
+        self.n_detections = 1
+
+    def _orient(self) -> None:
+        self.slave, self.master = master_first(self.surfaces, self.pairs)
+        self._window = REACH * (self._skins[self.slave] + self._skins[self.master])
+        if self.gap_tolerance is not None:
+            self._window = np.maximum(self._window, self.gap_tolerance)
+
+    def _pair_names(self, pair: int) -> str:
+        a, b = sorted((int(self.slave[pair]), int(self.master[pair])))
+        return f"{self.names[a]!r} and {self.names[b]!r}"
+
+    def _cut(self, which: Ints, x: Array, old: Patches, raise_deep: type[Exception]) -> Cut:
+        """Cut pairs anew; laws and flags set, history not yet."""
+        s = self.surfaces
+        cut = cut_pairs(
+            s, self._geometry, which, self.slave, self.master, self._window, x,
+            known_offsets(old, s.n_faces, self._geometry), self.prune, self.n_memory,
+        )  # fmt: skip
+        if len(cut.too_deep):
+            raise raise_deep(
+                f"blocks {self._pair_names(cut.too_deep[0])} overlap deeper than their surfaces describe (a quarter of the "
+                "local thickness); is the joint too soft, the step too large, or a block inside another?"
+            )
+        p = cut.patches
+        fresh = np.flatnonzero(inherit_laws(old, p, s.n_faces))
+        if len(fresh):
+            answer = self.assign(
+                self.slave[p.pair[fresh]], self.master[p.pair[fresh]], p.face_s[fresh], p.face_m[fresh], cut.centre[fresh]
+            )
+            p.law[fresh], p.prop[fresh] = answer[0], answer[1]
+            p.joint[fresh] = answer[2] if len(answer) > 2 else answer[1]
+        keep = np.flatnonzero(p.law >= 0)
+        if len(keep) < len(p):
+            names = ("area", "closed", "align", "depth", "plane_depth", "centre")
+            cut = Cut(p.take(keep), cut.ghosts, cut.too_deep, *(getattr(cut, n)[keep] for n in names))
+            p = cut.patches
+        for k, law in enumerate(self.laws):
+            mine = p.law == k
+            facing = (p.flags & kernels.FACING) > 0
+            p.flags[mine & facing] |= (law.tensile[p.prop[mine & facing]] * kernels.WHOLE).astype(np.uint8)
+            p.flags[mine & facing] |= (law.dilates[p.prop[mine & facing]] * kernels.DILATES).astype(np.uint8)
+        self.n_cuts += len(which)
+        return cut
+
+    def update(self, x: Array) -> bool:
+        """Detect again and cut patches anew where motion makes it due; True if patches changed.
+
+        Parameters
+        ----------
+        x : (n_gp, 3) array
+            Positions [m].
+
+        Raises
+        ------
+        OverlapError
+            Blocks overlap deeper than a quarter of the local thickness; names the pair.
+        """
+        s = self.surfaces
+        if self.clip_always:
+            return self._redo(x, np.ones(s.n_blocks, bool))
+        if not kernels.moved(s.surface_gp, s.surface_start, x, self.x_check, self._tolerance):
+            return False
+        motion = np.zeros(s.n_blocks)
+        kernels.block_motion(s.surface_gp, s.surface_start, x, self.x_ref, motion)
+        if (motion > 0.5 * self._skins).any():
+            return self._redo(x, motion > 0.25 * self._skins)
+        self.x_check[:] = x
+        worn = self._worn(x)
+        if not worn.any():
+            return False
+        self._replace(np.flatnonzero(worn).astype(np.int32), x)
+        return True
+
+    def _worn(self, x: Array) -> Any:
+        p, g = self.patches, self.ghosts
+        worn = np.zeros(len(self.pairs), np.uint8)
+        kernels.worn_pairs(p.gp, p.pair, p.w_clip, p.reach, p.normal_reach, x, worn)
+        kernels.worn_pairs(g.gp, g.pair, g.w, g.reach, g.reach, x, worn)
+        return worn
+
+    def _redo(self, x: Array, refreshed: Any) -> bool:
+        """New broad phase; pairs of refreshed blocks, new pairs and worn ones are cut anew."""
+        self.energy()
+        worn = self._worn(x)
+        old_pairs = self.pairs
+        self.pairs = candidate_pairs(self.surfaces, x, self._skins, self.may_touch)
+        n = self.surfaces.n_blocks
+        old_key = old_pairs[:, 0].astype(np.int64) * n + old_pairs[:, 1]
+        key = self.pairs[:, 0].astype(np.int64) * n + self.pairs[:, 1]
+        new_index = np.full(len(old_key), -1, np.int32)
+        common, at_old, at_new = np.intersect1d(old_key, key, assume_unique=True, return_indices=True)
+        new_index[at_old] = at_new
+        due = refreshed[self.pairs[:, 0]] | refreshed[self.pairs[:, 1]]
+        known = np.zeros(len(key), bool)
+        known[at_new] = True
+        due |= ~known
+        due[at_new] |= worn[at_old] > 0
+        self._orient()
+        self.patches = self.patches.take(np.flatnonzero(new_index[self.patches.pair] >= 0))
+        self.patches.pair = new_index[self.patches.pair]
+        self.ghosts = self.ghosts.without(new_index < 0)
+        self.ghosts.pair = new_index[self.ghosts.pair]
+        for b in np.flatnonzero(refreshed):
+            ids = self.surfaces.surface_gp[self.surfaces.surface_start[b] : self.surfaces.surface_start[b + 1]]
+            self.x_ref[ids] = x[ids]
+        self.n_detections += 1
+        self._replace(np.flatnonzero(due).astype(np.int32), x)
+        return True
+
+    def _replace(self, which: Ints, x: Array) -> None:
+        """Cut the pairs `which` anew and merge the result with the patches of all others."""
+        self.energy()  # the arrays it reads are about to go
+        mask = np.zeros(len(self.pairs), bool)
+        mask[which] = True
+        touched = mask[self.patches.pair]
+        old = self.patches.take(np.flatnonzero(touched))
+        kept = self.patches.take(np.flatnonzero(~touched))
+        ghosts = self.ghosts.without(mask)
+        if len(which):
+            cut = self._cut(which, x, old, raise_deep=OverlapError)
+            inherit_history(self.surfaces, old, cut.patches, x)
+            kept = Patches.join(kept, cut.patches)
+            ghosts = Ghosts.join(ghosts, cut.ghosts)
+        self._install(kept, ghosts, x)
+
+    def _install(self, p: Patches, ghosts: Ghosts, x: Array) -> None:
+        """Sort the patches and allocate what `forces` writes."""
+        order = np.lexsort((p.face_s, p.face_m, p.pair, p.law))
+        self.patches = p = p.take(order)
+        self.ghosts = ghosts
+        self.x_check[:] = x
+        self._prepare()
+
+    def _prepare(self) -> None:
+        p, s = self.patches, self.surfaces
+        n = len(p)
+        self._trial = False
+        self._law_start = np.searchsorted(p.law, np.arange(len(self.laws) + 1)).tolist()
+        self._thick = s.has_behind[p.face_m]
+        self._inverse = np.column_stack([self._inverse_block[self.slave[p.pair]], self._inverse_block[self.master[p.pair]]])
+        self._damped = any(law.damped and self._law_start[k + 1] > self._law_start[k] for k, law in enumerate(self.laws))
+        self._kn, self._ks = np.zeros(n), np.zeros(n)
+        for k, law in enumerate(self.laws):
+            mine = slice(self._law_start[k], self._law_start[k + 1])
+            self._kn[mine], self._ks[mine] = law.props[p.prop[mine], 0], law.props[p.prop[mine], 1]
+        self._points, self._active = p.points_old.copy(), np.zeros(n, np.uint8)
+        self._memory_start = np.zeros((3 * n, self.n_memory))
+        self._memory = np.zeros((3 * n, self.n_memory))
+        self._w, self._gap, self._area = np.zeros((3 * n, 7)), np.zeros(3 * n), np.zeros(3 * n)
+        self._align, self._normal, self._push = np.zeros(3 * n), np.zeros((3 * n, 3)), np.zeros((n, 3))
+        self._slip, self._mass, self._facing = np.zeros((3 * n, 3)), np.zeros(3 * n), np.zeros(n)
+        self._pair_area, self._pair_normal = np.zeros(len(self.pairs)), np.zeros((len(self.pairs), 3))
+        self._traction, self._work = np.zeros((3 * n, 4)), np.zeros((3 * n, 2))
+        self._state = np.full(3 * n, joints.OPEN, np.int8)
+        tolerance = 0.25 * self._skins
+        reach = 0.25 * np.minimum(p.reach, p.normal_reach)
+        for blocks, pair, r in (
+            (self.slave, p.pair, reach), (self.master, p.pair, reach),
+            (self.slave, self.ghosts.pair, 0.25 * self.ghosts.reach), (self.master, self.ghosts.pair, 0.25 * self.ghosts.reach),
+        ):  # fmt: skip
+            np.minimum.at(tolerance, blocks[pair], r)
+        self._tolerance = tolerance
+        self._project_fixed = (
+            p.gp, p.start, p.corners, p.offset, p.flags, p.pair, p.limit, self._thick, p.ref_points, p.ref_ratio,
+            self._inverse, self._inverse_gp, self._damped,
+        )  # fmt: skip
+        self._rows = (
+            self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._mass, self._facing,
+            self._pair_area, self._pair_normal,
+        )  # fmt: skip
+
+    # ------------------------------------------------------------------ forces
+
+    def forces(self, x: Array, x_old: Array, dt: float, f_gp: Array) -> None:
+        """Add the contact forces on gridpoints; the trial memory starts from the committed one every time.
+
+        Parameters
+        ----------
+        x, x_old : (n_gp, 3) array
+            Positions now and at the last commit [m].
+        dt : float
+            Time between them [s]; 0: no damping.
+        f_gp : (n_gp, 3) array
+            Forces [N], added to in place.
+
+        Raises
+        ------
+        OverlapError
+            A patch is deeper than a quarter of the local thickness; names the pair.
+        """
+        p = self.patches
+        if not len(p):
+            return
+        deep = kernels.project(
+            *self._project_fixed, x, x_old, p.points_old, p.active_old, p.memory_old,
+            self._points, self._active, self._memory_start, *self._rows,
+        )  # fmt: skip
+        if deep >= 0:
+            raise OverlapError(
+                f"blocks {self._pair_names(p.pair[deep])} overlap by {-self._gap[3 * deep : 3 * deep + 3].min():.3g} m, more "
+                f"than their surfaces describe ({p.limit[deep]:.3g} m); joint too soft or step too large"
+            )
+        for k, law in enumerate(self.laws):
+            lo, hi = self._law_start[k], self._law_start[k + 1]
+            if hi > lo:
+                law.sweep(
+                    3 * lo, 3 * hi, dt, self._gap, self._push, self._slip, self._normal, self._align, self._area,
+                    self._mass, p.prop, law.props, self._memory_start, self._memory, self._traction, self._work, self._state,
+                )  # fmt: skip
+        self._trial = True
+        kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._traction, f_gp)
+
+    def commit(self) -> None:
+        """Make the last trial the history, and add its dissipation to `work`."""
+        p = self.patches
+        if not len(p):
+            return
+        joints.total_work(self._area, self._work, self.work)
+        # the exchanged arrays are written completely by the next `forces`
+        p.memory_old, self._memory = self._memory, p.memory_old
+        p.points_old, self._points = self._points, p.points_old
+        p.active_old, self._active = self._active, p.active_old
+        self._trial = False
+        self._stored = None
+
+    def energy(self) -> float:
+        """Elastic energy stored in the joints in the last committed state [J]."""
+        if self._stored is None:
+            p = self.patches
+            self._stored = float(
+                kernels.stored_energy(
+                    self._area, self._gap, self._facing, p.memory_old, self._kn, self._ks, p.active_old, 0, len(p)
+                )
+            )
+        return self._stored
+
+    @property
+    def friction_work(self) -> float:
+        """Energy dissipated by slip and failure, committed [J]."""
+        return float(self.work[0])
+
+    @property
+    def damping_work(self) -> float:
+        """Energy dissipated by the joints' dashpots, committed [J]."""
+        return float(self.work[1])
+
+    def points(self, x: Array) -> Array:
+        """Places of the three points of every whole patch (3 n_patches, 3) [m]."""
+        w = self.patches.ref_points.reshape(-1, 2)
+        w = np.column_stack([1.0 - w.sum(axis=1), w])
+        out: Array = np.einsum("ij,ijk->ik", w, x[np.repeat(self.patches.gp[:, :3], 3, axis=0)])
+        return out
+
+    @property
+    def n_patches(self) -> int:
+        """Number of patches, open ones included."""
+        return len(self.patches)
+
+    # ------------------------------------------------------------------ views, state
+
+    def stiffness(self, x: Array) -> tuple[Ints, Array, Array, Array, Array]:
+        """Rows of all whole patches; see `table.stiffness`."""
+        return table.stiffness(self, x)
+
+    def potential_k_gp(self, x: Array, mobile: Any) -> Array:
+        """Upper bound of the contact stiffness per gridpoint (n_gp,) [N/m]; see `table.potential_k_gp`."""
+        return table.potential_k_gp(self, x, mobile)
+
+    def table(self, x: Array) -> dict[str, Any]:
+        """Contact table as a dict of arrays; see `table.contact_table`."""
+        return table.contact_table(self, x)
+
+    def preload(self, x: Array, stress: Array) -> None:
+        """Start contact tractions from a stress field; see `table.preload`."""
+        table.preload(self, x, stress)
+
+    def state_arrays(self) -> dict[str, Array]:
+        """Everything that influences the next step, as copies; give it to `restore` of the same model."""
+        out = {f"patch_{f.name}": getattr(self.patches, f.name).copy() for f in fields(Patches)}
+        out |= {f"ghost_{f.name}": getattr(self.ghosts, f.name).copy() for f in fields(Ghosts)}
+        out |= {name: getattr(self, name).copy() for name in ("pairs", "x_ref", "x_check", "work")}
+        out |= {name: getattr(self, f"_{name}").copy() for name in _LAST}
+        out["counters"] = np.array([self.n_detections, self.n_cuts])
+        out["stored"] = np.array([self.energy()])
+        return out
+
+    def restore(self, arrays: dict[str, Any]) -> None:
+        """Take back what `state_arrays` returned.
+
+        Raises
+        ------
+        CheckpointError
+            The arrays do not fit this model.
+        """
+        try:
+            patches = Patches(**{f.name: np.array(arrays[f"patch_{f.name}"]) for f in fields(Patches)})
+            ghosts = Ghosts(*(np.array(arrays[f"ghost_{f.name}"]) for f in fields(Ghosts)))
+            if arrays["x_ref"].shape != self.x_ref.shape or patches.memory_old.shape[1] != self.n_memory:
+                raise CheckpointError("contacts: the saved state belongs to another model")
+            for name in ("pairs", "x_ref", "x_check", "work"):
+                setattr(self, name, np.array(arrays[name]))
+            self.n_detections, self.n_cuts = (int(c) for c in arrays["counters"])
+            self._orient()
+            self.patches, self.ghosts = patches, ghosts
+            self._prepare()
+            for name in _LAST:
+                getattr(self, f"_{name}")[:] = arrays[name]
+            self._stored = float(arrays["stored"][0])
+        except KeyError as missing:
+            raise CheckpointError(f"contacts: the saved state lacks {missing}") from None
+
+
+# what the last `forces` left behind: energy() and table() read it
+_LAST = ("active", "w", "gap", "area", "align", "normal", "push", "facing", "traction", "state")

@@ -1,0 +1,161 @@
+"""Views of the contacts: the public table, rows for stiffness, starting tractions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdem.kernels import joints
+from fdem.kernels import patches as kernels
+
+if TYPE_CHECKING:
+    from fdem.contact.contacts import Contacts
+
+__all__ = ["contact_table", "frames", "potential_k_gp", "preload", "stiffness"]
+
+Array = NDArray[np.float64]
+
+
+def frames(normal: Array) -> Array:
+    """Right-handed frames (n, 3, 3) with rows normal, s, t; s is horizontal-most by a fixed rule."""
+    axis = np.argmin(np.abs(normal), axis=1)
+    e = np.zeros_like(normal)
+    e[np.arange(len(normal)), axis] = 1.0
+    s = np.cross(normal, e)
+    s /= np.linalg.norm(s, axis=1)[:, None]
+    return np.ascontiguousarray(np.stack([normal, s, np.cross(normal, s)], axis=1))
+
+
+def _unit(v: Array) -> Array:
+    out: Array = v / np.linalg.norm(v, axis=1)[:, None]
+    return out
+
+
+def _face_normals(gp: Any, x: Array, side: int) -> Array:
+    a, b, c = (x[gp[:, 3 * side + k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+def stiffness(c: Contacts, x: Array) -> tuple[Any, Array, Array, Array, Array]:
+    """Rows of all patches as if closed.
+
+    Returns
+    -------
+    gp : (3 n, 7) int32
+    w : (3 n, 7)
+    frame : (3 n, 3, 3)
+        Rows: normal of the master face and two tangents.
+    kn, ks : (3 n,)
+        Stiffness times area [N/m].
+    """
+    p = c.patches
+    w = np.zeros((3 * len(p), 7))
+    kernels.weights_at(p.gp, c._thick, p.ref_points, x, w)
+    area = p.ref_ratio * np.linalg.norm(_face_normals(p.gp, x, 0), axis=1) / 6.0
+    normal = _unit(_face_normals(p.gp, x, 1))
+    frame = np.repeat(frames(normal), 3, axis=0)
+    return np.repeat(p.gp, 3, axis=0), w, frame, np.repeat(c._kn * area, 3), np.repeat(c._ks * area, 3)
+
+
+def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
+    """Upper bound (n_gp,) of the contact stiffness at gridpoints [N/m], whole patches, for mobile gridpoints."""
+    p = c.patches
+    out = np.zeros(len(x))
+    if not len(p):
+        return out
+    _, w, _, kn, ks = stiffness(c, x)
+    affine = c.surfaces.affine
+    soft = 1 - np.column_stack([affine[c.slave[p.pair]], affine[c.master[p.pair]]])
+    facing = np.repeat((p.flags & kernels.FACING) > 0, 3)
+    k = np.where(facing, np.maximum(kn, ks), kn)
+    kernels.gridpoint_stiffness(p.gp, w, k, np.asarray(mobile, dtype=bool), soft.astype(np.uint8), out)
+    return out
+
+
+def contact_table(c: Contacts, x: Array) -> dict[str, Any]:
+    """Contact points of the last `forces`, as a dict of arrays.
+
+    Returns
+    -------
+    dict
+        block_a, block_b, joint (int32; a has the lower id), normal (n, 3) from a to b, gap [m], area [m2],
+        traction (n, 3) [Pa] as pressure and two shear components in `frame`, force (n, 3) [N] on block b, slip [m]
+        (distance slipped), state (int8: 0 intact, 1 closed, 2 slipping, 3 open), position (n, 3) [m], patch, frame.
+        Open rows stand for the whole patch; side strips are listed only while they carry force.
+    """
+    p = c.patches
+    rows = np.flatnonzero(np.repeat(((p.flags & kernels.FACING) > 0) | (c._active > 0) | (p.active_old > 0), 3))
+    patch = rows // 3
+    is_open = c._area[rows] == 0.0
+    point = np.where(is_open[:, None], p.ref_points.reshape(-1, 2)[rows], _last_points(c).reshape(-1, 2)[rows])
+    w = np.column_stack([1.0 - point.sum(axis=1), point])
+    corners = x[p.gp[patch, :3]]
+    position = np.einsum("ij,ijk->ik", w, corners)
+    master = _unit(_face_normals(p.gp, x, 1))[patch] if len(p) else np.zeros((0, 3))
+    depth = np.einsum("ij,ij->i", master, x[p.gp[patch, 3]] - position) - np.einsum("ij,ij->i", w, p.offset[patch])
+    whole = (p.ref_ratio * np.linalg.norm(_face_normals(p.gp, x, 0), axis=1) / 6.0)[patch] if len(p) else np.zeros(0)
+    slave, other = c.slave[p.pair[patch]], c.master[p.pair[patch]]
+    sign = np.where(slave > other, 1.0, -1.0)
+    normal = np.where(is_open[:, None], master, c._normal[rows]) * sign[:, None]
+    frame = frames(normal) if len(rows) else np.zeros((0, 3, 3))
+    t = np.where(is_open[:, None], 0.0, c._traction[rows])
+    on_slave = t[:, 1:] - t[:, :1] * c._push[patch]
+    shear = np.einsum("ijk,ik->ij", frame, on_slave * sign[:, None])
+    area = np.where(is_open, whole, c._area[rows])
+    return {
+        "block_a": np.minimum(slave, other),
+        "block_b": np.maximum(slave, other),
+        "joint": p.joint[patch],
+        "normal": normal,
+        "gap": np.where(is_open, -depth, c._gap[rows]),
+        "area": area,
+        "traction": np.column_stack([t[:, 0], shear[:, 1:]]),
+        "force": on_slave * (area * sign)[:, None],
+        "slip": np.where(is_open, 0.0, p.memory_old[rows, 4]),
+        "state": np.where(is_open, joints.OPEN, c._state[rows]).astype(np.int8),
+        "position": position,
+        "patch": patch.astype(np.int32),
+        "frame": frame,
+    }
+
+
+def _last_points(c: Contacts) -> Array:
+    """Places of the points of the last `forces`: trial before a commit, history after it."""
+    return c._points if c._trial else c.patches.points_old
+
+
+def preload(c: Contacts, x: Array, stress: Array) -> None:
+    """Let all contacts carry the tractions of a stress field in the positions `x`.
+
+    The reference gap is shifted by the closure p / kn, linear on every patch, and the elastic slip set to the shear
+    traction over ks. Tension is dropped where the law carries none.
+
+    Parameters
+    ----------
+    stress : (3 n_patches, 6) array
+        Stress at `points(x)` [Pa], xx yy zz yz zx xy, tension positive.
+    """
+    p = c.patches
+    facing = (p.flags & kernels.FACING) > 0
+    n_a = _unit(_face_normals(p.gp, x, 0))
+    n_f = _unit(_face_normals(p.gp, x, 1))
+    s = np.asarray(stress, dtype=float).reshape(len(p), 3, 6)
+    full = s[:, :, [0, 5, 4, 5, 1, 3, 4, 3, 2]].reshape(len(p), 3, 3, 3)
+    t = np.einsum("pqij,pj->pqi", full, n_a)
+    pressure = -np.einsum("pqi,pi->pq", t, n_a)
+    tensile = (p.flags & kernels.WHOLE) > 0
+    pressure = np.where(tensile[:, None], pressure, np.maximum(pressure, 0.0))
+    shear = t - np.einsum("pqi,pi->pq", t, n_f)[:, :, None] * n_f[:, None, :]
+    shear[(pressure <= 0.0) & ~tensile[:, None]] = 0.0
+    points = p.ref_points
+    linear = np.concatenate([1.0 - points.sum(axis=2, keepdims=True), points], axis=2)
+    at_gp = np.linalg.solve(linear, (pressure / c._kn[:, None])[:, :, None])[:, :, 0]
+    p.offset[facing] -= at_gp[facing]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        elastic = np.where(c._ks[:, None, None] > 0.0, -shear / c._ks[:, None, None], 0.0)
+    memory = p.memory_old.reshape(len(p), 3, -1)
+    memory[facing, :, :3] = elastic[facing]
+    p.points_old[facing] = points[facing]
+    p.active_old[facing] = 1

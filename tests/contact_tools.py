@@ -1,0 +1,199 @@
+"""Shapes and a tiny rigid-body world for the contact tests (no fdem.scene)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fdem.contact.contacts import Contacts, LawTable
+from fdem.contact.surface import BlockSurface
+
+
+def rotation(axis, angle):
+    a = np.array(axis, float) / np.linalg.norm(axis)
+    k = np.cross(np.eye(3), a)
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+
+
+def prism(poly, h):
+    n = len(poly)
+    p = np.asarray(poly, float)
+    points = np.vstack([np.c_[p, np.zeros(n)], np.c_[p, np.full(n, h)]])
+    faces = [list(range(n))[::-1], list(range(n, 2 * n))] + [[i, (i + 1) % n, (i + 1) % n + n, i + n] for i in range(n)]
+    return points, faces
+
+
+def box(a, b, c):
+    p, f = prism([[-a / 2, -b / 2], [a / 2, -b / 2], [a / 2, b / 2], [-a / 2, b / 2]], c)
+    return p - [0, 0, c / 2], f
+
+
+def move(shape, r=None, t=(0, 0, 0)):
+    r = np.eye(3) if r is None else r
+    return np.asarray(shape[0], float) @ np.asarray(r).T + np.array(t, float), shape[1]
+
+
+def volume_of(points, faces):
+    v = 0.0
+    for f in faces:
+        for k in range(1, len(f) - 1):
+            v += points[f[0]] @ np.cross(points[f[k]], points[f[k + 1]]) / 6
+    return v
+
+
+def triangulated(shape):
+    return shape[0], [[f[0], f[k], f[k + 1]] for f in shape[1] for k in range(1, len(f) - 1)]
+
+
+def grid_box(nx, ny, size=(1.0, 1.0, 1.0), gx=None, gy=None):
+    """Box whose top and bottom are triangulated grids, as a surface (points, triangles)."""
+    gx = np.linspace(0, 1, nx + 1) if gx is None else np.asarray(gx, float)
+    gy = np.linspace(0, 1, ny + 1) if gy is None else np.asarray(gy, float)
+    nx, ny = len(gx) - 1, len(gy) - 1
+    g = np.array([[a, b] for a in gx for b in gy])
+    n = len(g)
+    pts = np.vstack([np.c_[g, np.zeros(n)], np.c_[g, np.ones(n)]]) * size
+    at = lambda i, j: i * (ny + 1) + j  # noqa: E731
+    tri = []
+    for i in range(nx):
+        for j in range(ny):
+            q = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]
+            for t in ((q[0], q[1], q[2]), (q[0], q[2], q[3])):
+                tri.append([n + k for k in t])
+                tri.append(list(t)[::-1])
+    ring = [at(i, 0) for i in range(nx)] + [at(nx, j) for j in range(ny)]
+    ring += [at(i, ny) for i in range(nx, 0, -1)] + [at(0, j) for j in range(ny, 0, -1)]
+    for a, b in zip(ring, ring[1:] + ring[:1], strict=True):
+        tri += [[a, b, b + n], [a, b + n, a + n]]
+    return pts, tri
+
+
+COULOMB = dict(kn=1e9, ks=5e8, tan=0.0, c=0.0, t=0.0, dil=0.0, dil_limit=np.inf, rtan=None, rc=0.0, damping=0.0)
+
+
+def coulomb(**kw):
+    d = COULOMB | kw
+    d["rtan"] = d["tan"] if d["rtan"] is None else d["rtan"]
+    return LawTable("coulomb", [[d[k] for k in ("kn", "ks", "tan", "c", "t", "dil", "dil_limit", "rtan", "rc", "damping")]])
+
+
+def bonded(kn=1e9, ks=5e8, tan=0.0, shear=np.inf, tension=np.inf):
+    return LawTable("bonded", [[kn, ks, tan, shear, tension]])
+
+
+class World:
+    """Rigid polyhedra, their contacts, and resultants on them."""
+
+    def __init__(self, shapes, law=None, fixed=None, affine=None, density=2500.0, **options):
+        self.fixed = np.array(fixed if fixed is not None else [False] * len(shapes))
+        affine = affine if affine is not None else [True] * len(shapes)
+        start = np.r_[0, np.cumsum([len(s[0]) for s in shapes])]
+        self.start = start
+        self.x = np.ascontiguousarray(np.concatenate([s[0] for s in shapes]).astype(float))
+        self.x_old = self.x.copy()
+        blocks, mass = [], np.zeros(len(self.x))
+        self.volume, self.centroid = [], []
+        for i, (p, f) in enumerate(shapes):
+            v = volume_of(np.asarray(p, float), f)
+            loops = [np.array(q, np.int32) + start[i] for q in f]
+            behind = None
+            if not affine[i]:
+                far = [int(np.argmax(np.abs((p - p[q[0]]) @ np.cross(p[q[1]] - p[q[0]], p[q[2]] - p[q[0]])))) for q in f]
+                behind = np.array(far, np.int32) + start[i]
+            blocks.append(
+                BlockSurface(
+                    loops, np.full(len(f), -1), affine[i], (int(start[i]), int(start[i + 1])), bool(self.fixed[i]),
+                    v, density * v, behind,
+                )  # fmt: skip
+            )
+            mass[start[i] : start[i + 1]] = density * v
+            self.volume.append(v)
+        options.setdefault("gap_tolerance", 0.0)
+        options.setdefault("prune", 0.0)
+        self.law = law or coulomb()
+        self.contacts = Contacts(
+            blocks, self.x, gp_mass=mass, laws=[self.law],
+            assign=lambda bs, bm, fs, fm, pts: (np.zeros(len(bs), np.int32), np.zeros(len(bs), np.int32)), **options,
+        )  # fmt: skip
+        self.f = np.zeros_like(self.x)
+        self.faces = [s[1] for s in shapes]
+
+    def forces(self, dt=0.0):
+        self.f[:] = 0.0
+        self.contacts.forces(self.x, self.x_old, dt, self.f)
+        return self.f
+
+    def commit(self):
+        self.contacts.commit()
+        self.x_old[:] = self.x
+
+    def resultant(self, i, about=(0.0, 0.0, 0.0)):
+        sl = slice(self.start[i], self.start[i + 1])
+        return self.f[sl].sum(0), np.cross(self.x[sl] - np.asarray(about), self.f[sl]).sum(0)
+
+    def shift(self, i, t):
+        self.x[self.start[i] : self.start[i + 1]] += t
+
+
+class Flight:
+    """Free rigid motion of the blocks of a World: leapfrog in translation, midpoint rotation at fixed momentum."""
+
+    def __init__(self, world, velocity, spin, density=2500.0):
+        self.w, n = world, len(velocity)
+        self.v, self.p = np.array(velocity, float), []
+        self.c, self.local, self.r, self.m, self.inertia = [], [], [np.eye(3) for _ in range(n)], [], []
+        for i in range(n):
+            points = world.x[world.start[i] : world.start[i + 1]].copy()
+            loops = world.faces[i]
+            vol, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
+            for f in loops:
+                for k in range(1, len(f) - 1):
+                    a, b, c = points[f[0]], points[f[k]], points[f[k + 1]]
+                    v = a @ np.cross(b, c) / 6
+                    vol += v
+                    first += v * (a + b + c) / 4
+                    s = a + b + c
+                    second += v * (np.outer(a, a) + np.outer(b, b) + np.outer(c, c) + np.outer(s, s)) / 20
+            centre = first / vol
+            second -= vol * np.outer(centre, centre)
+            self.c.append(centre)
+            self.local.append(points - centre)
+            self.m.append(density * vol)
+            self.inertia.append(density * (np.trace(second) * np.eye(3) - second))
+        self.h = [self.inertia[i] @ np.asarray(spin[i], float) for i in range(n)]
+
+    def omega(self, i, r=None):
+        r = self.r[i] if r is None else r
+        return r @ np.linalg.solve(self.inertia[i], r.T @ self.h[i])
+
+    def kinetic(self):
+        return sum(
+            0.5 * self.m[i] * self.v[i] @ self.v[i] + 0.5 * self.h[i] @ self.omega(i) for i in range(len(self.m))
+        )
+
+    def momentum(self):
+        p = sum(m * v for m, v in zip(self.m, self.v, strict=True))
+        return p, sum(np.cross(c, m * v) + h for c, m, v, h in zip(self.c, self.m, self.v, self.h, strict=True))
+
+    def step(self, dt, update=True):
+        w = self.w
+        f = w.forces(dt)
+        for i in range(len(self.m)):
+            sl = slice(w.start[i], w.start[i + 1])
+            self.v[i] += dt / self.m[i] * f[sl].sum(0)
+            self.h[i] = self.h[i] + dt * np.cross(w.x[sl] - self.c[i], f[sl]).sum(0)
+        w.commit()
+        for i in range(len(self.m)):
+            self.c[i] = self.c[i] + dt * self.v[i]
+            half = self.r[i]
+            for _ in range(30):  # implicit midpoint
+                o = self.omega(i, half)
+                new = rotation(o, 0.5 * dt * np.linalg.norm(o)) @ self.r[i] if o.any() else self.r[i]
+                if np.abs(new - half).max() < 1e-16:
+                    break
+                half = new
+            o = self.omega(i, half)
+            if o.any():
+                self.r[i] = rotation(o, dt * np.linalg.norm(o)) @ self.r[i]
+            w.x[w.start[i] : w.start[i + 1]] = self.c[i] + self.local[i] @ self.r[i].T
+        if update:
+            w.contacts.update(w.x)
