@@ -153,14 +153,14 @@ class Simulation(Readout):
         observers = [*self._observers, *([progress] if progress is not None else [])]
         done = 0
         while done < n and (end is None or end - self.state.t > 1e-6 * self.dt):
-            due = min([n - done, CHECK_EVERY, *(o.next(self.state.step, self.state.t, self.dt) for o in observers)])
-            target = self.state.step + due
+            due = [self.state.step + o.next(self.state.step, self.state.t, self.dt) for o in observers]
+            target = min([self.state.step + min(n - done, CHECK_EVERY), *due])
             while self.state.step < target and (end is None or end - self.state.t > 1e-6 * self.dt):
                 self._step(self.dt if end is None else _fit(self.dt, end - self.state.t))
                 done += 1
             self._check()
-            for observer in observers:
-                if observer.next(self.state.step - 1, self.state.t - self.system.dt, self.system.dt) <= 1:
+            for observer, step in zip(observers, due, strict=True):
+                if step <= self.state.step:
                     observer.record(self)
         if progress is not None:
             progress.finish()

@@ -49,7 +49,8 @@ def build(path: Path) -> None:
     down = np.array([np.cos(DIP), 0.0, -np.sin(DIP)])
     # a sheet larger than the body
     corners = [
-        occ.addPoint(*(np.array(FAULT) + s * 20.0 * down + [0.0, y, 0.0])) for s, y in ((-1, -5), (1, -5), (1, 15), (-1, 15))
+        occ.addPoint(*(np.array(FAULT) + s * 20.0 * down + [0.0, y, 0.0]))
+        for s, y in ((-1, -5), (1, -5), (1, 15), (-1, 15))
     ]
     lines = [occ.addLine(a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
     sheet = (2, occ.addPlaneSurface([occ.addCurveLoop(lines)]))

@@ -219,7 +219,11 @@ def test_annulus_is_one_block_and_can_be_cut_again():
     check([p for p, _ in pieces], 8000.0)
     # four sides, twelve walls, two ends of two loops each: nothing is cut up further
     assert len(ring.faces) == 4 + 12 + 4
-    for plane in (JointSet(90, 90, name="v"), JointSet(0, 0, name="h"), JointSet(0, 0, origin=(0, 0, 2.5), name="crown")):
+    for plane in (
+        JointSet(90, 90, name="v"),
+        JointSet(0, 0, name="h"),
+        JointSet(0, 0, origin=(0, 0, 2.5), name="crown"),
+    ):
         halves = cut(ring, plane)
         assert len(halves) >= 2
         check(halves, ring.volume)
@@ -283,7 +287,9 @@ def test_random_lattice_cuts_keep_the_books():
         for _ in range(3):
             if rng.random() < 0.5:
                 origin = tuple(rng.integers(-1, 5, 3).tolist())
-                cutter = JointSet(float(rng.choice([0, 45, 90])), float(rng.choice([0, 45, 90, 180, 225])), origin=origin)
+                cutter = JointSet(
+                    float(rng.choice([0, 45, 90])), float(rng.choice([0, 45, 90, 180, 225])), origin=origin
+                )
             else:
                 cutter = anything()
             try:

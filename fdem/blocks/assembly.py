@@ -36,7 +36,9 @@ def elastic_stiffness(X: Array, nodes: Array, lam: Array, mu: Array) -> Any:
     from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, MeshTet
     from skfem.helpers import ddot, sym_grad, trace
 
-    mesh = MeshTet(np.ascontiguousarray(X.T), np.ascontiguousarray(nodes.T.astype(np.int64)))
+    # scikit-fem numbers only what elements use
+    used, local = np.unique(nodes, return_inverse=True)
+    mesh = MeshTet(np.ascontiguousarray(X[used].T), np.ascontiguousarray(local.reshape(nodes.shape).T))
     basis = Basis(mesh, ElementVector(ElementTetP1()), intorder=1)
 
     @BilinearForm
@@ -44,7 +46,14 @@ def elastic_stiffness(X: Array, nodes: Array, lam: Array, mu: Array) -> Any:
         strain, virtual = sym_grad(u), sym_grad(v)
         return w.lam * trace(strain) * trace(virtual) + 2.0 * w.mu * ddot(strain, virtual)
 
-    return virtual_work.assemble(basis, lam=lam[:, None], mu=mu[:, None]).tocsr()
+    K = virtual_work.assemble(basis, lam=lam[:, None], mu=mu[:, None])
+    if used.size < len(X):
+        from scipy.sparse import coo_matrix
+
+        K = K.tocoo()
+        place = (3 * used[:, None] + np.arange(3)).ravel()
+        K = coo_matrix((K.data, (place[K.row], place[K.col])), shape=(X.size, X.size))
+    return K.tocsr()
 
 
 def upper_block_rows(K: Any) -> tuple[Array, Array, Array, Array]:

@@ -18,7 +18,7 @@ Array = Any
 
 _CHUNK_ZONES = 8192  # a chunk's window of forces stays in the second cache
 _CHUNK_ROWS = 4096
-_THREAD_ZONES = 16384  # below this, waking a thread costs more than it saves
+_THREAD_ZONES = 32768  # below this, waking a thread costs more than it saves
 
 
 def elasticity(strain: Array, lam: Array, mu: Array) -> Array:
@@ -133,7 +133,7 @@ class SmallStrain:
         # columns count from the chunk's first row: the product of a chunk sees nothing but its window
         first = np.repeat(self.chunk_row[:-1], np.diff(self.row_start[bounds].astype(np.int64)))
         self.column -= first
-        self.threaded = owner.threads > 1 and self.zones.size >= 2 * _THREAD_ZONES
+        self.threaded = owner.threads > 1 and self.zones.size >= 4 * _THREAD_ZONES
 
     def _set_frame(self, n: int) -> None:
         """Weights and arms of the average deformation, from quarter volumes: positive, mesh-fair."""

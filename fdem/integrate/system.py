@@ -62,6 +62,10 @@ class System:
         self.stale = True
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
+        deformable = model.deformable
+        self._first_rigid_gp = 0 if deformable is None else deformable.gridpoints.stop
+        self._keeps_old = contacts is not None or self._load_old is not None
+        self.weight = self._weight()
         self._terms = self._choose_terms()
         self._held = constraints.held() if constraints.moving else None
 
@@ -78,14 +82,19 @@ class System:
         terms.append(self._keep_elastic)
         if self.loads:
             terms.append(self._add_loads)
+        return tuple(terms)
+
+    def _weight(self) -> np.ndarray:
+        """Weight of everything (n_dofs,) [N]; it does not change, so forces start from it."""
+        weight = np.zeros_like(self.state.f)
         if np.any(self.model.gravity):
             for batch in self.model.batches:
-                terms.append(lambda batch=batch: batch.weight(self.model.gravity, state.f))
-        return tuple(terms)
+                batch.weight(self.model.gravity, weight)
+        return weight
 
     def _keep_elastic(self) -> None:
         if self.elastic is not None:
-            self.elastic[:] = self.state.f
+            np.subtract(self.state.f, self.weight, out=self.elastic)
 
     def _add_loads(self) -> None:
         state, total = self.state, self.f_load
@@ -104,8 +113,9 @@ class System:
     def forces(self) -> np.ndarray:
         """Generalised forces f(t, q, v) of the present configuration [N, N m]."""
         if not self.current:
-            self.state.f_gp.fill(0.0)
-            self.state.f.fill(0.0)
+            # zoned gridpoints share memory with f: only the others are cleared here
+            self.state.f_gp[self._first_rigid_gp :].fill(0.0)
+            np.copyto(self.state.f, self.weight)
             for term in self._terms:
                 term()
             self.current = True
@@ -133,7 +143,8 @@ class System:
             self.elastic, self.elastic_old = self.elastic_old, self.elastic
         if self.contacts is not None:
             self.contacts.commit()
-        self.state.x_old[:] = self.state.x
+        if self._keeps_old:
+            self.state.x_old[:] = self.state.x
 
     def pending_work(self) -> float:
         """Work [J] of loads and prescribed motion over the last step, by the trapezoidal rule."""
@@ -245,7 +256,7 @@ class System:
         pushes = np.linalg.norm(self.state.f_gp, axis=1)
         if self.f_load is not None:
             pushes = pushes + np.linalg.norm(self.f_load, axis=1)
-        total = np.add.reduceat(pushes, model.gp_range[rows, 0])
+        total = np.add.reduceat(pushes[: model.rigid.gridpoints.stop], model.gp_range[rows, 0])
         acting = np.maximum(total, model.mass[rows] * np.linalg.norm(model.gravity))
         free = ~model.fixed[rows]
         if not free.any():

@@ -468,9 +468,10 @@ def clip_pairs(
         near_m = np.empty(face_start[m + 1] - face_start[m], np.int32)
         k_m = 0
         for f in range(face_start[m], face_start[m + 1]):
+            far = 2.0 * (h + min(limit[f], size[p]))  # a slave that is all inside is still in the cells of faces around it
             apart = False
             for d in range(3):
-                if lower[f, d] > block_upper[s, d] + h or upper[f, d] < block_lower[s, d] - h:
+                if lower[f, d] > block_upper[s, d] + far or upper[f, d] < block_lower[s, d] - far:
                     apart = True
             if not apart:
                 near_m[k_m] = f
@@ -504,11 +505,11 @@ def clip_pairs(
         for fi in range(k_m):
             f = near_m[fi]
             deep = min(limit[f], size[p])
-            i0 = np.searchsorted(sorted_begin, lower[f, axis] - h - deep - longest)
+            i0 = np.searchsorted(sorted_begin, lower[f, axis] - 2.0 * (h + deep) - longest)
             chosen = np.empty(k_s, np.int32)
             n_chosen = 0
             for i in range(i0, k_s):
-                if sorted_begin[i] > upper[f, axis] + h + deep:
+                if sorted_begin[i] > upper[f, axis] + 2.0 * (h + deep):
                     break
                 chosen[n_chosen] = near_s[order[i]]
                 n_chosen += 1

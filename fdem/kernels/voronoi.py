@@ -48,15 +48,14 @@ def _clip(points, loops, length, count, px, py, pz, nx, ny, nz, side, scratch):
         count[0] = count[1] = 0
         return True
     edge_in, edge_out, cap_next, new_id = scratch[0], scratch[1], scratch[2], scratch[3]
+    row = scratch[4]
     cuts = 0
     faces = 0
-    first_entry = -1
     base = count[0]
     for f in range(count[1]):
         m = length[f]
         kept = 0
-        leave = enter = -1
-        row = scratch[4]
+        leave = first_enter = -1
         for k in range(m):
             i = loops[f, k]
             j = loops[f, k + 1 if k + 1 < m else 0]
@@ -78,31 +77,43 @@ def _clip(points, loops, length, count, px, py, pz, nx, ny, nz, side, scratch):
                     cuts += 1
                 row[kept] = base + c
                 kept += 1
+                # the cap runs against the new edge of this face; round-off may let a face cross more than once
                 if side[i] <= 0.0:
                     leave = c
+                elif leave >= 0:
+                    cap_next[c] = leave
+                    leave = -1
                 else:
-                    enter = c
+                    first_enter = c
+        if first_enter >= 0:
+            cap_next[first_enter] = leave
         if kept == 0:
             continue
-        if leave >= 0:
-            cap_next[enter] = leave
-            first_entry = enter
+        if kept > loops.shape[1]:
+            return False
         for k in range(kept):
             loops[faces, k] = row[k]
         length[faces] = kept
         faces += 1
-    if faces + 1 >= loops.shape[0]:
-        return False
-    kept = 0
-    c = first_entry
-    while kept < cuts:
-        loops[faces, kept] = base + c
-        kept += 1
-        c = cap_next[c]
-        if c == first_entry:
-            break
-    length[faces] = kept
-    faces += 1
+    # every cut is entered once and left once: the caps are the cycles of that permutation
+    for start in range(cuts):
+        if cap_next[start] < 0:
+            continue
+        if faces >= loops.shape[0]:
+            return False
+        kept = 0
+        c = start
+        while cap_next[c] >= 0:
+            if kept >= loops.shape[1]:
+                return False
+            loops[faces, kept] = base + c
+            kept += 1
+            after = cap_next[c]
+            cap_next[c] = -1
+            c = after
+        if kept > 2:
+            length[faces] = kept
+            faces += 1
     # drop the vertices that were cut off
     n = 0
     for i in range(base + cuts):

@@ -8,123 +8,26 @@ on it, so that no sliver can arise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from fdem.errors import MeshError
-from fdem.scene.polygons import area_vector, plane_basis, regions, trace, triangulate
-from fdem.scene.polyhedra import Polyhedron
-
-__all__ = [
-    "CavityError",
-    "Face",
-    "Plane",
-    "Pool",
-    "as_polyhedron",
-    "complement",
-    "components",
-    "divide",
-    "faces_of",
-    "heights",
-    "pinched",
-    "sides",
-]
-
-# vertices within this part of the size (and of the coordinates' round-off) of a plane lie on it
-SNAP = 1e-9
-ROUND_OFF = 8.0 * float(np.finfo(np.float64).eps)
-
-Point = tuple[float, float, float]
-
-
-class CavityError(MeshError):
-    """A cut would leave a hollow block."""
-
-
-class Plane(NamedTuple):
-    """Points x with ``(x - origin) . normal == offset``."""
-
-    origin: Point
-    normal: Point
-    offset: float = 0.0
-
-
-class Face(NamedTuple):
-    """A simple vertex loop, counter-clockwise from outside; `source` -1 is a cap of the cut."""
-
-    loop: list[int]
-    tag: str | None
-    source: int
-
-
-class Pool:
-    """Vertices of a shape and of everything cut from it.
-
-    Parameters
-    ----------
-    shape : Polyhedron
-        Its vertices come first.
-
-    Attributes
-    ----------
-    points : list of (x, y, z)
-        [m].
-    parents : dict
-        For a vertex made by a cut, the ends of the edge it was made on.
-    tolerance : float
-        Distance within which a vertex lies on a plane [m].
-    """
-
-    def __init__(self, shape: Polyhedron) -> None:
-        self.points: list[Point] = [(x, y, z) for x, y, z in shape.points.tolist()]
-        self.parents: dict[int, tuple[int, int]] = {}
-        self._made: dict[tuple[int, int, Plane], int] = {}
-        self.tolerance = SNAP * shape.size + ROUND_OFF * float(np.abs(shape.bounds).max())
-
-    def crossing(self, a: int, b: int, da: float, db: float, plane: Plane) -> int:
-        """The vertex where the edge a-b, at heights `da` and `db`, meets the plane."""
-        key = (min(a, b), max(a, b), plane)
-        if key in self._made:
-            return self._made[key]
-        if self.points[b] < self.points[a]:
-            a, b, da, db = b, a, db, da
-        t = da / (da - db)
-        p, q = self.points[a], self.points[b]
-        new = (p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1]), p[2] + t * (q[2] - p[2]))
-        near = 1e-3 * self.tolerance
-        for k, o in enumerate(self.points):
-            # the same edge met by the same plane after it had been divided elsewhere
-            if abs(o[0] - new[0]) <= near and abs(o[1] - new[1]) <= near and abs(o[2] - new[2]) <= near:
-                self._made[key] = k
-                return k
-        self.points.append(new)
-        self._made[key] = len(self.points) - 1
-        self.parents[self._made[key]] = (a, b)
-        return self._made[key]
-
-
-def faces_of(shape: Polyhedron, pool: Pool) -> list[Face]:
-    """Planar faces of a polyhedron; those that are not planar come as triangles."""
-    out: list[Face] = []
-    for face, tag in zip(shape.faces, shape.face_tags, strict=True):
-        loop = face.tolist()
-        ring = [pool.points[v] for v in loop]
-        if len(loop) > 3 and not _planar(ring, pool.tolerance):
-            for i, j, k in triangulate(ring):
-                out.append(Face([loop[i], loop[j], loop[k]], tag, len(out)))
-        else:
-            out.append(Face(loop, tag, len(out)))
-    return out
-
-
-def as_polyhedron(pool: Pool, faces: Sequence[Face], name: str | None = None) -> Polyhedron:
-    """The polyhedron that faces of a pool make."""
-    used = sorted({v for face in faces for v in face.loop})
-    new = dict(zip(used, range(len(used)), strict=True))
-    loops = [[new[v] for v in face.loop] for face in faces]
-    return Polyhedron.trusted(np.array([pool.points[v] for v in used]), loops, [f.tag for f in faces], name)
+from fdem.scene.polygons import area_vector, plane_basis, regions, trace
+from fdem.scene.pool import (
+    CavityError,
+    Face,
+    Plane,
+    Point,
+    Pool,
+    closed,
+    cross,
+    dot,
+    minus,
+    plane_coordinates,
+    ring_points,
+    sides,
+)
 
 
 def heights(pool: Pool, faces: Iterable[Face], plane: Plane) -> dict[int, float]:
@@ -186,44 +89,13 @@ def divide(
             (above if up else below).append(face)
         else:
             # a face in the plane belongs to the solid behind it
-            (below if _dot(area_vector(_ring_points(pool, face)), plane.normal) > 0.0 else above).append(face)
+            (below if dot(area_vector(ring_points(pool, face)), plane.normal) > 0.0 else above).append(face)
     caps = _caps(pool, above + below, d, plane.normal)
     above += [Face(loop, tag, -1) for loop in caps]
     below += [Face(loop[::-1], tag, -1) for loop in caps]
-    if not (_closed(above) and _closed(below)):
+    if not (closed(above) and closed(below)):
         raise MeshError("the section does not close")
     return above, below, caps
-
-
-def sides(loop: Sequence[int]) -> list[tuple[int, int]]:
-    """Directed edges of a loop."""
-    return [(loop[k - 1], v) for k, v in enumerate(loop)]
-
-
-def _planar(ring: Sequence[Point], tolerance: float) -> bool:
-    """Whether all points of a loop lie in its mean plane."""
-    n = area_vector(ring)
-    length = _dot(n, n) ** 0.5
-    o = ring[0]
-    return all(
-        abs((p[0] - o[0]) * n[0] + (p[1] - o[1]) * n[1] + (p[2] - o[2]) * n[2]) <= tolerance * length for p in ring
-    )
-
-
-def _dot(a: Sequence[float], b: Sequence[float]) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _minus(a: Sequence[float], b: Sequence[float]) -> Point:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-def _cross(a: Sequence[float], b: Sequence[float]) -> Point:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def _ring_points(pool: Pool, face: Face) -> list[Point]:
-    return [pool.points[v] for v in face.loop]
 
 
 def _ring(pool: Pool, loop: list[int], d: dict[int, float], plane: Plane) -> list[int]:
@@ -249,11 +121,11 @@ def _side(pool: Pool, ring: list[int], d: dict[int, float], normal: Point, sign:
     if len(chains) == 1 and len(on) == 2:
         return chains
     points = pool.points
-    direction = _cross(area_vector([points[v] for v in ring]), normal)
-    along = {v: _dot(direction, _minus(points[v], points[on[0]])) for v in on}
+    direction = cross(area_vector([points[v] for v in ring]), normal)
+    along = {v: dot(direction, minus(points[v], points[on[0]])) for v in on}
 
     def slope(v: int, neighbour: int) -> float:
-        return _dot(direction, _minus(points[neighbour], points[v])) / abs(d[neighbour])
+        return dot(direction, minus(points[neighbour], points[v])) / abs(d[neighbour])
 
     ends = []
     for i, chain in enumerate(chains):
@@ -325,14 +197,14 @@ def _caps(pool: Pool, faces: Iterable[Face], d: dict[int, float], normal: Point)
             if d[a] != 0.0 or d[b] != 0.0:
                 continue
             key = (min(a, b), max(a, b))
-            axis = _minus(pool.points[key[1]], pool.points[key[0]])
-            into = _cross(area_vector(_ring_points(pool, face)), axis)
+            axis = minus(pool.points[key[1]], pool.points[key[0]])
+            into = cross(area_vector(ring_points(pool, face)), axis)
             sign = 1.0 if a < b else -1.0
-            left = sign * _dot(into, _cross(normal, axis))
+            left = sign * dot(into, cross(normal, axis))
             if max(signs) > 0.0 or min(signs) < 0.0:
                 # a face that is off the plane stays so, whatever the round-off
-                up = abs(_dot(into, normal)) * (1.0 if max(signs) > 0.0 else -1.0)
-                angle = float(np.arctan2(up, left * _dot(axis, axis) ** -0.5))
+                up = abs(dot(into, normal)) * (1.0 if max(signs) > 0.0 else -1.0)
+                angle = float(np.arctan2(up, left * dot(axis, axis) ** -0.5))
             else:
                 angle = 0.0 if left > 0.0 else np.pi
             around.setdefault(key, []).append((angle, a < b))
@@ -344,29 +216,8 @@ def _caps(pool: Pool, faces: Iterable[Face], d: dict[int, float], normal: Point)
             if forward and gap > 0.0:
                 edges.append(edge)
     vertices = sorted({v for edge in edges for v in edge})
-    xy = _plane_coordinates(pool, vertices, [-x for x in normal])
+    xy = plane_coordinates(pool, vertices, [-x for x in normal])
     return regions(trace(edges, xy), xy)
-
-
-def _plane_coordinates(pool: Pool, vertices: Sequence[int], normal: Sequence[float]) -> dict[int, tuple[float, float]]:
-    """Coordinates of vertices in a plane, seen against its normal."""
-    if not vertices:
-        return {}
-    u, v = plane_basis(normal)
-    origin = min(pool.points[k] for k in vertices)
-    relative = {k: _minus(pool.points[k], origin) for k in vertices}
-    return {k: (float(_dot(r, u)), float(_dot(r, v))) for k, r in relative.items()}
-
-
-def _closed(faces: Iterable[Face]) -> bool:
-    """Whether every edge is run as often one way as the other."""
-    balance: dict[tuple[int, int], int] = {}
-    for face in faces:
-        for k, b in enumerate(face.loop):
-            a = face.loop[k - 1]
-            key, step = ((a, b), 1) if a < b else ((b, a), -1)
-            balance[key] = balance.get(key, 0) + step
-    return not any(balance.values())
 
 
 def components(pool: Pool, faces: list[Face]) -> list[list[Face]]:
@@ -428,12 +279,12 @@ def _wedges(
     pool: Pool, faces: list[Face], a: int, b: int, forward: list[int], backward: list[int]
 ) -> list[tuple[int, int]]:
     """Pairs of faces that bound one wedge of solid at an edge with more than two faces."""
-    axis = _minus(pool.points[b], pool.points[a])
-    u, v = plane_basis(axis)
+    axis = minus(pool.points[b], pool.points[a])
+    u, v = (direction.tolist() for direction in plane_basis(axis))
 
     def angle(i: int, sign: float) -> float:
-        into = _cross(area_vector(_ring_points(pool, faces[i])), axis)
-        return float(np.arctan2(sign * _dot(into, v), sign * _dot(into, u)))
+        into = cross(area_vector(ring_points(pool, faces[i])), axis)
+        return float(np.arctan2(sign * dot(into, v), sign * dot(into, u)))
 
     # seen along the axis the solid lies clockwise of a forward face, up to the next backward one
     closing = [(angle(j, -1.0), j) for j in backward]
@@ -449,91 +300,7 @@ def _signed_volume(pool: Pool, faces: Iterable[Face]) -> float:
     origin = None
     total = 0.0
     for face in faces:
-        ring = _ring_points(pool, face)
+        ring = ring_points(pool, face)
         origin = origin or ring[0]
-        total += 2.0 * _dot(area_vector(ring), _minus(ring[0], origin))
+        total += 2.0 * dot(area_vector(ring), minus(ring[0], origin))
     return total
-
-
-def complement(pool: Pool, base: list[Face], part: list[Face]) -> list[Face]:
-    """What is left of a solid without a part that was cut out of it by planes.
-
-    Parameters
-    ----------
-    pool : Pool
-        The vertices of both.
-    base : list of Face
-        The solid; ``base[i].source == i``.
-    part : list of Face
-        A part of it; `source` tells the face of `base` a face lies on, -1 a cut.
-
-    Returns
-    -------
-    list of Face
-        Closed surface: the faces of the solid without those of the part, and the part's caps turned
-        round. Faces stay whole polygons, no cut runs beyond the part.
-    """
-    vertices = {v for face in base for v in face.loop}
-    edges = {(min(a, b), max(a, b)) for face in base for a, b in sides(face.loop)}
-    locate = _locator(pool, vertices, edges)
-    on_edge: dict[tuple[int, int], list[int]] = {}
-    lost: dict[int, list[Face]] = {}
-    for v in sorted({v for face in part for v in face.loop}):
-        edge = locate(v)
-        if edge is not None:
-            on_edge.setdefault(edge, []).append(v)
-    for face in part:
-        lost.setdefault(face.source, []).append(face)
-    out = [Face(face.loop[::-1], face.tag, -1) for face in lost.get(-1, [])]
-    for i, face in enumerate(base):
-        loop: list[int] = []
-        for a, b in sides(face.loop):
-            inside = on_edge.get((min(a, b), max(a, b)), [])
-            start = pool.points[a]
-            away = {v: _dot(r, r) for v in inside for r in [_minus(pool.points[v], start)]}
-            loop += [a, *sorted(inside, key=away.__getitem__)]
-        if i in lost:
-            out += [Face(rest, face.tag, i) for rest in _difference(pool, face, loop, lost[i])]
-        else:
-            out.append(Face(loop, face.tag, i))
-    if not _closed(out):
-        raise MeshError("the surface left by a closed cutter does not close")
-    return out
-
-
-def _difference(pool: Pool, face: Face, loop: list[int], removed: list[Face]) -> list[list[int]]:
-    """Loops of a plane face without parts of it; common edges are split at the same vertices."""
-    edges = set(sides(loop))
-    for gone in removed:
-        for a, b in sides(gone.loop):
-            if (a, b) in edges:
-                edges.discard((a, b))
-            else:
-                edges.add((b, a))
-    if not edges:
-        return []
-    xy = _plane_coordinates(pool, sorted({v for e in edges for v in e}), area_vector(_ring_points(pool, face)))
-    return regions(trace(sorted(edges), xy), xy)
-
-
-def _locator(pool: Pool, vertices: set[int], edges: set[tuple[int, int]]) -> Callable[[int], tuple[int, int] | None]:
-    """A function that names the edge of a solid a cut's vertex was made on, None for other vertices."""
-    known: dict[int, tuple[int, int] | None] = {}
-
-    def locate(v: int) -> tuple[int, int] | None:
-        if v in vertices or v not in pool.parents:
-            return None
-        if v not in known:
-            a, b = pool.parents[v]
-            at = [(p, None if p in vertices else locate(p)) for p in (a, b)]
-            if a in vertices and b in vertices:
-                key = (min(a, b), max(a, b))
-                known[v] = key if key in edges else None
-            else:
-                # one end at least lies inside the edge, if the vertex does
-                edge = next((e for _, e in at if e is not None), None)
-                fits = edge is not None and all(e == edge or (e is None and p in edge) for p, e in at)
-                known[v] = edge if fits else None
-        return known[v]
-
-    return locate

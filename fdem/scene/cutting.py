@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -12,30 +11,17 @@ import numpy as np
 
 from fdem.errors import MeshError, SceneError
 from fdem.scene.checks import number, vector
-from fdem.scene.clipping import (
-    CavityError,
-    Face,
-    Plane,
-    Point,
-    Pool,
-    as_polyhedron,
-    complement,
-    components,
-    divide,
-    faces_of,
-    heights,
-    pinched,
-    sides,
-)
-from fdem.scene.polygons import Array, area_vector
+from fdem.scene.clipping import heights
+from fdem.scene.polygons import Array
+from fdem.scene.pool import CavityError, Face, Plane, Point, Pool, as_polyhedron, faces_of
 from fdem.scene.shapes import Polyhedron, Shape
+from fdem.scene.solids import cells, convex_parts, divide_safely, inside_outside, solids
 
 __all__ = ["Disc", "JointSet", "cut", "split"]
 
+
 # planes of one set through one block beyond which the set is taken for a mistake
 MANY = 100_000
-# a plane that touches a solid in a way no section can be made of is moved by this part of the block's size
-NUDGE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -286,22 +272,6 @@ def _planes(shape: Polyhedron, joints: JointSet) -> Iterator[Plane]:
             yield plane
 
 
-def _divide(
-    pool: Pool, piece: list[Face], plane: Plane, tag: str | None, size: float
-) -> tuple[list[Face], list[Face], list[list[int]]]:
-    """`divide`, with the plane moved a little where it grazes the solid in an unlucky way."""
-    for shift in (0.0, NUDGE, -NUDGE, 3.0 * NUDGE, -3.0 * NUDGE):
-        try:
-            above, below, caps = divide(pool, piece, plane._replace(offset=plane.offset + shift * size), tag)
-            if above and below:
-                components(pool, above)
-                components(pool, below)
-            return above, below, caps
-        except (MeshError, ZeroDivisionError) as error:
-            problem = str(error)
-    raise MeshError(f"a plane at {plane.origin} cannot cut a block of size {size:g}: {problem}")
-
-
 def _split_by_planes(
     shape: Polyhedron, joints: JointSet, tag: str | None, rng: np.random.Generator
 ) -> tuple[Pool, list[list[Face]]]:
@@ -316,8 +286,8 @@ def _split_by_planes(
             if not crossed or (joints.persistence < 1.0 and rng.random() >= joints.persistence):
                 after.append(piece)
                 continue
-            above, below, _ = _divide(pool, piece, plane, tag, shape.size)
-            after += _solids(pool, below, tag, shape.size) + _solids(pool, above, tag, shape.size)
+            above, below, _ = divide_safely(pool, piece, plane, tag, shape.size)
+            after += solids(pool, below, tag, shape.size) + solids(pool, above, tag, shape.size)
         pieces = after
     return pool, pieces
 
@@ -330,11 +300,11 @@ def _split_by_disc(shape: Polyhedron, disc: Disc, tag: str | None) -> tuple[Pool
     d = heights(pool, faces, plane).values()
     if not min(d) < 0.0 < max(d):
         return pool, [faces]
-    above, below, caps = _divide(pool, faces, plane, tag, shape.size)
+    above, below, caps = divide_safely(pool, faces, plane, tag, shape.size)
     centre = np.array(disc.centre)
     if not any(_touches(np.array([pool.points[v] for v in cap]) - centre, disc) for cap in caps):
         return pool, [faces]
-    return pool, _solids(pool, below, tag, shape.size) + _solids(pool, above, tag, shape.size)
+    return pool, solids(pool, below, tag, shape.size) + solids(pool, above, tag, shape.size)
 
 
 def _touches(loop: Array, disc: Disc) -> bool:
@@ -350,78 +320,18 @@ def _touches(loop: Array, disc: Disc) -> bool:
     return bool(abs(angles.sum()) > np.pi)
 
 
-_PARTS: weakref.WeakKeyDictionary[Polyhedron, list[list[Plane]]] = weakref.WeakKeyDictionary()
-
-
-def _convex_parts(solid: Polyhedron) -> list[list[Plane]]:
-    """Planes, outward, of convex parts that make up a solid; the same plane has the same bits in all."""
-    if solid not in _PARTS:
-        pool = Pool(solid)
-        faces = faces_of(solid, pool)
-        planes = [_face_plane(pool, face) for face in faces]
-        stack = [[Face(f.loop, str(i), i) for i, f in enumerate(faces)]]
-        parts: list[list[Plane]] = []
-        while stack:
-            piece = stack.pop()
-            number_of = _reflex_face(pool, piece, planes)
-            if number_of is None:
-                parts.append(_unique_planes(piece, planes))
-                continue
-            above, below, _ = _divide(pool, piece, planes[number_of], str(len(planes)), solid.size)
-            x, y, z = planes[number_of].normal
-            # caps close the part above with the reversed plane, the part below with the plane itself
-            planes.append(planes[number_of]._replace(normal=(-x, -y, -z), offset=-planes[number_of].offset))
-            flipped = [
-                f._replace(tag=str(number_of)) if f.source == -1 and f.tag == str(len(planes) - 1) else f for f in below
-            ]
-            stack += components(pool, above) + components(pool, flipped)
-        _PARTS[solid] = parts
-    return _PARTS[solid]
-
-
-def _face_plane(pool: Pool, face: Face) -> Plane:
-    """Outward plane of a face."""
-    ring = [pool.points[v] for v in face.loop]
-    x, y, z = area_vector(ring)
-    length = float(np.sqrt(x * x + y * y + z * z))
-    if length == 0.0:
-        raise MeshError(f"a face of the cut at {ring[0]} has no area")
-    return Plane(min(ring), (x / length, y / length, z / length))
-
-
-def _unique_planes(piece: Sequence[Face], planes: list[Plane]) -> list[Plane]:
-    """The planes of a convex piece, once each."""
-    return list(dict.fromkeys(planes[int(face.tag or 0)] for face in piece))
-
-
-def _reflex_face(pool: Pool, piece: list[Face], planes: list[Plane]) -> int | None:
-    """Number of a face's plane that has vertices of its own solid in front of it, None for a convex one.
-
-    Of all such planes the one is taken that divides the solid most evenly.
-    """
-    best: tuple[float, int] | None = None
-    for k in sorted({int(face.tag or 0) for face in piece}):
-        d = heights(pool, piece, planes[k]).values()
-        low, high = min(d), max(d)
-        if high > 0.0 and low < 0.0:
-            score = min(high, -low)
-            if best is None or score > best[0]:
-                best = (score, k)
-    return best[1] if best else None
-
-
 def _split_by_solid(shape: Polyhedron, solid: Polyhedron, tag: str | None) -> list[tuple[Shape, bool]]:
     """Pieces of a shape inside and outside a closed solid."""
     if (shape.bounds[0] >= solid.bounds[1]).any() or (shape.bounds[1] <= solid.bounds[0]).any():
         return [(shape, False)]
-    parts = _convex_parts(solid)
+    parts = convex_parts(solid)
     try:
-        pool, outside, inside = _inside_outside(shape, parts, tag)
+        pool, outside, inside = inside_outside(shape, parts, tag)
     except CavityError:
         raise
     except (MeshError, ZeroDivisionError):
         # the cutter touches the block in an unlucky way: leave it divided along the planes of the cutter
-        pool, outside, inside = _cells(shape, parts, tag)
+        pool, outside, inside = cells(shape, parts, tag)
     if not inside:
         return [(shape, False)]
     if not outside:
@@ -430,84 +340,3 @@ def _split_by_solid(shape: Polyhedron, solid: Polyhedron, tag: str | None) -> li
     for group, within in ((outside, False), (inside, True)):
         pieces += [(as_polyhedron(pool, piece, shape.name), within) for piece in group]
     return pieces
-
-
-Divided = tuple[Pool, list[list[Face]], list[list[Face]]]
-
-
-def _inside_outside(shape: Polyhedron, parts: list[list[Plane]], tag: str | None) -> Divided:
-    """Solids of a shape outside and inside all convex parts of a cutter, each in one piece."""
-    pool = Pool(shape)
-    block = faces_of(shape, pool)
-    outside = [block]
-    inside: list[list[Face]] = []
-    for planes in parts:
-        left: list[list[Face]] = []
-        for piece in outside:
-            core, rest = _taken(pool, piece, planes, tag)
-            inside += [core] if core else []
-            left += rest
-        outside = left
-    if len(inside) > 1 and outside:
-        # several convex parts meet inside the cutter: the inside in one piece is what the outside leaves
-        inside = [complement(pool, block, [face for piece in outside for face in piece])]
-    return (
-        pool,
-        [solid for piece in outside for solid in _solids(pool, piece, tag, shape.size)],
-        [solid for piece in inside for solid in _solids(pool, piece, tag, shape.size)],
-    )
-
-
-def _cells(shape: Polyhedron, parts: list[list[Plane]], tag: str | None) -> Divided:
-    """Solids of a shape outside and inside the convex parts of a cutter, divided along all planes of the parts."""
-    pool = Pool(shape)
-    outside = [faces_of(shape, pool)]
-    inside: list[list[Face]] = []
-    for planes in parts:
-        left: list[list[Face]] = []
-        for piece in outside:
-            core = [piece]
-            for plane in planes:
-                halves = [_divide(pool, solid, plane, tag, shape.size)[:2] for solid in core]
-                left += [solid for above, _ in halves for solid in _solids(pool, above, tag, shape.size)]
-                core = [solid for _, below in halves for solid in _solids(pool, below, tag, shape.size)]
-            inside += core
-        outside = left
-    return pool, outside, inside
-
-
-def _solids(pool: Pool, faces: list[Face], tag: str | None, size: float, depth: int = 0) -> list[list[Face]]:
-    """Connected solids; one that touches itself in an edge is divided there along one of its faces."""
-    out: list[list[Face]] = []
-    for solid in components(pool, faces) if faces else []:
-        edge = pinched(solid)
-        halves: tuple[list[Face], list[Face]] = ([], [])
-        for face in solid if edge is not None and depth < 12 else []:
-            if edge in sides(face.loop) and not (halves[0] and halves[1]):
-                halves = _divide(pool, solid, _face_plane(pool, face), tag, size)[:2]
-        if halves[0] and halves[1]:
-            out += [part for half in halves for part in _solids(pool, half, tag, size, depth + 1)]
-        elif edge is not None:
-            raise MeshError(f"a block touches itself in an edge at {pool.points[edge[0]]}")
-        else:
-            out.append(solid)
-    return out
-
-
-def _taken(
-    pool: Pool, piece: list[Face], planes: Iterable[Plane], tag: str | None
-) -> tuple[list[Face], list[list[Face]]]:
-    """What of a solid lies within planes, and the solids that are left; sources stay those of the block."""
-    sources = [face.source for face in piece]
-    local = [face._replace(source=i) for i, face in enumerate(piece)]
-    core = local
-    for plane in planes:
-        core = [face for part in components(pool, core) for face in divide(pool, part, plane, tag)[1]]
-        if not core:
-            return [], [piece]
-    rest = complement(pool, local, core)
-
-    def named(faces: Iterable[Face]) -> list[Face]:
-        return [f._replace(source=sources[f.source] if f.source >= 0 else -1) for f in faces]
-
-    return named(core), [named(part) for part in components(pool, rest)] if rest else []

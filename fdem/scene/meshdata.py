@@ -283,7 +283,8 @@ def _all_in(used: Ints, tags: dict[str, Ints]) -> dict[str, Ints]:
 
 def _own_facets(tets: Ints, rows: Ints) -> Ints:
     """The rows that are facets of the tetrahedra."""
-    return rows[_rows_in(np.sort(rows, axis=1), np.sort(tets[:, FACETS].reshape(-1, 3), axis=1))]
+    own: Ints = rows[_rows_in(np.sort(rows, axis=1), np.sort(tets[:, FACETS].reshape(-1, 3), axis=1))]
+    return own
 
 
 def _rows_in(rows: Ints, others: Ints) -> Any:
