@@ -121,7 +121,7 @@ def save(sim: Simulation, path: str | Path) -> None:
     system, state = sim.system, sim.state
     arrays: dict[str, Any] = {name: getattr(state, name) for name in ARRAYS}
     arrays |= {"x0": sim.x0, "centroids0": sim.centroids0, "turned": sim.turned, "q0": system.q0}
-    for name in ("elastic_old", "_load_old", "_reaction_old"):
+    for name in ("elastic_old", "_load_old", "_reaction_old", "_k_used"):
         if getattr(system, name) is not None:
             arrays[name] = getattr(system, name)
     for i, scaled in enumerate(system.scaled):
@@ -231,7 +231,7 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
     sim.x0, sim.centroids0, sim.turned = saved["x0"], saved["centroids0"], saved["turned"]
     system.q0 = saved["q0"]
     sim.integrator.start(system)
-    for name in ("elastic_old", "_load_old", "_reaction_old"):
+    for name in ("elastic_old", "_load_old", "_reaction_old", "_k_used"):
         if name in saved:
             setattr(system, name, saved[name])
     system.scaled = [saved.get(f"scaled_{i}") for i in range(len(system.scaled))]

@@ -11,6 +11,9 @@ from fdem.errors import SolveError
 
 __all__ = ["Approach", "Constraints", "Directions", "Motion"]
 
+# a prescribed displacement closer than this share of its largest value goes there in one step
+ARRIVED = 1e-9
+
 
 @dataclass
 class Motion:
@@ -99,8 +102,21 @@ class Constraints:
         for motion in self.motions:
             v[motion.dofs] = motion.values * _factor(motion.handle, t)
         for approach in self.approaches:
-            left = approach.target * _factor(approach.handle, t) - (q[approach.coords] - q0[approach.coords])
-            v[approach.dofs] = approach.share / dt * left
+            target = approach.target * _factor(approach.handle, t)
+            left = target - (q[approach.coords] - q0[approach.coords])
+            # the last part in one step: by shares it would stop where a share is less than the last bit of q
+            share = np.where(np.abs(left) <= ARRIVED * np.abs(target).max(initial=0.0), 1.0, approach.share)
+            v[approach.dofs] = share / dt * left
+
+    def ahead(self, q: np.ndarray, q0: np.ndarray, t: float) -> float:
+        """Prescribed displacement still to come at time `t`, over the largest prescribed: the worst of all loads."""
+        worst = 0.0
+        for approach in self.approaches:
+            target = approach.target * _factor(approach.handle, t)
+            left = np.abs(target - (q[approach.coords] - q0[approach.coords])).max(initial=0.0)
+            scale = max(np.abs(target).max(initial=0.0), left)
+            worst = max(worst, float(left / scale) if scale > 0 else 0.0)
+        return worst
 
     def _project(self, v: np.ndarray) -> None:
         index = self.oblique_rows[:, None] + np.arange(3)

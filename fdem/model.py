@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -76,7 +77,7 @@ class Model:
         """Number of blocks."""
         return len(self.names)
 
-    @property
+    @cached_property
     def gp_block(self) -> np.ndarray:
         """Block of every gridpoint (n_gp,)."""
         owner = np.empty(len(self.X), dtype=np.int32)

@@ -23,7 +23,7 @@ class Watch:
     -----
     *Equilibrium*: the unbalanced force ratio is at most `target`, and the displacement still to come,
     estimated from a geometric decay of the motion per look, is at most 1000 times `target` (5 % at
-    most) of the largest displacement.
+    most) of the largest displacement; prescribed displacements have come to `target` of where they go.
 
     *Collapse*: over six windows, each half as long again as the one before (the last is longer than the
     slowest mode that could still be swinging out), motion per cycle did not fall by more than 10 %
@@ -64,7 +64,8 @@ class Watch:
         self._path += moved
         self._moved = [*self._moved[-7:], moved]
         self.remaining = self._estimate(total)
-        if self.ratio <= self.target and self.remaining <= min(0.05, 1e3 * self.target):
+        ahead = system.constraints.ahead(system.state.q, system.q0, system.state.t)
+        if max(self.ratio, ahead) <= self.target and self.remaining <= min(0.05, 1e3 * self.target):
             return "equilibrium"
         return "collapse" if self._collapsing(x) else None
 

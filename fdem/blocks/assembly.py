@@ -1,4 +1,4 @@
-"""Stiffness matrices of constant-strain tetrahedra, assembled by scikit-fem."""
+"""Stiffness of constant-strain tetrahedra: matrices by scikit-fem, and norms of their blocks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["elastic_stiffness", "upper_block_rows"]
+from fdem.kernels import stiffness
+
+__all__ = ["coupling_norms", "elastic_stiffness", "upper_block_rows"]
 
 Array = Any
 
@@ -89,3 +91,25 @@ def upper_block_rows(K: Any) -> tuple[Array, Array, Array, Array]:
         diagonal,
         np.ascontiguousarray(K.data[right].reshape(-1, 9)),
     )
+
+
+def coupling_norms(
+    nodes: Array, gradients: Array, volume: Array, lam: Array, mu: Array, n: int
+) -> tuple[Array, Array, Array, Array]:
+    """Spectral norms of the off-diagonal 3x3 blocks in CSR form and of the diagonal blocks [N/m]."""
+    pairs = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+    ends = nodes[:, pairs].astype(np.int64)
+    keys, edges = np.unique(ends.min(axis=2) * n + ends.max(axis=2), return_inverse=True)
+    blocks, diagonal = np.zeros((keys.size, 9)), np.zeros((n, 9))
+    stiffness.coupling_blocks(
+        nodes, edges.reshape(-1, 6).astype(np.int32), gradients, volume, lam, mu, diagonal, blocks
+    )
+    norms, diagonal_norms = np.empty(keys.size), np.empty(n)
+    stiffness.spectral_norms(blocks, norms)
+    stiffness.spectral_norms(diagonal, diagonal_norms)
+    low, high = keys // n, keys % n
+    row = np.concatenate([low, high])
+    order = np.argsort(row, kind="stable")
+    row_start = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=n))]).astype(np.int32)
+    column = np.concatenate([high, low])[order].astype(np.int32)
+    return row_start, column, np.concatenate([norms, norms])[order], diagonal_norms

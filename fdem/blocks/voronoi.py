@@ -57,8 +57,13 @@ def voronoi_masses(
         edge = np.cbrt(np.prod(np.maximum(shape, 1.0 / 64.0)) / (hi - lo))
         n_cells = np.clip(shape // edge, 1, 512).astype(np.int64)
         failed = voronoi.voronoi_masses(
-            local, np.ascontiguousarray(zones[first:last] - lo, dtype=np.int32),
-            np.ascontiguousarray(density[first:last]), n_cells, lower, extent / n_cells, mass[lo:hi],
+            local,
+            np.ascontiguousarray(zones[first:last] - lo, dtype=np.int32),
+            np.ascontiguousarray(density[first:last]),
+            n_cells,
+            lower,
+            extent / n_cells,
+            mass[lo:hi],
         )
         if failed >= 0:
             raise MeshError(f"zoned block {block}: zone {failed} is too flat for Voronoi masses; use mass='row-sum'")

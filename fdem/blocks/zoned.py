@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from fdem.blocks.assembly import coupling_norms, elastic_stiffness
 from fdem.blocks.masses import InertiaCorrection, block_moments, lumped_moments, row_sum_masses, voronoi_masses
-from fdem.blocks.zoneforces import LargeStrain, SmallStrain, elasticity, voigt_strain
+from fdem.blocks.zoneforces import LargeStrain, SmallStrain, elasticity, rotation_vectors, voigt_strain
 from fdem.errors import MeshError, SceneError
 from fdem.kernels import corotated, stiffness, zones
 
@@ -152,9 +153,7 @@ class ZonedBlocks:
         self._correction: InertiaCorrection | None = None
         self.gravity_mass = self.gp_mass
         if matched.size:
-            self._correction = InertiaCorrection.build(
-                self.X, self.gp_mass, self._start, self.centroid, exact, matched
-            )
+            self._correction = InertiaCorrection.build(self.X, self.gp_mass, self._start, self.centroid, exact, matched)
             lumped[matched] = exact[matched]
             self.gravity_mass = self.multiply_mass(np.ones((n, 3)))[:, 0].copy()
         second = np.array([1, 2, 3])
@@ -233,8 +232,12 @@ class ZonedBlocks:
     def _couple(self) -> tuple[Array, Array, Array, Array]:
         """Norms of the stiffness blocks at the reference configuration, as a sparse symmetric pattern."""
         if self._coupling is None:
-            self._coupling = _coupling_norms(
-                self._nodes, self.gradients, self.zone_volume, self.lam[self.zone_block], self.mu[self.zone_block],
+            self._coupling = coupling_norms(
+                self._nodes,
+                self.gradients,
+                self.zone_volume,
+                self.lam[self.zone_block],
+                self.mu[self.zone_block],
                 self.X.shape[0],
             )
         return self._coupling
@@ -246,8 +249,18 @@ class ZonedBlocks:
         bound, worst = np.empty(self.n_blocks), np.empty(self.n_blocks, dtype=np.int64)
         k_local = np.ascontiguousarray(k_gp[self.gridpoints], dtype=np.float64)
         stiffness.perron_bounds(
-            row_start, column, value, diagonal, self.gp_mass, k_local, self._start, _SWEEPS, np.empty(n), np.empty(n),
-            bound, worst,
+            row_start,
+            column,
+            value,
+            diagonal,
+            self.gp_mass,
+            k_local,
+            self._start,
+            _SWEEPS,
+            np.empty(n),
+            np.empty(n),
+            bound,
+            worst,
         )
         self.limiting_gridpoint = worst + self.gridpoints.start
         if self._correction is not None:
@@ -316,7 +329,7 @@ class ZonedBlocks:
 
     def zone_rotation(self, x: Array) -> Array:
         """Rotation vectors of the zones (m, 3) [rad], polar decomposition of the deformation gradient."""
-        return _rotation_vectors(self._rotations(self.deformation(x)))
+        return rotation_vectors(self._rotations(self.deformation(x)))
 
     def local_range(self, x: Array) -> tuple[Array, Array]:
         """Largest strain component and largest rotation [rad] against the block's frame, per block.
@@ -331,8 +344,6 @@ class ZonedBlocks:
 
     def stiffness(self) -> Any:
         """Return K (3n, 3n), scipy CSR, of linear elasticity at the reference configuration, from scikit-fem [N/m]."""
-        from fdem.blocks.assembly import elastic_stiffness
-
         block = self.zone_block
         return elastic_stiffness(self.X, self._nodes, self.lam[block], self.mu[block])
 
@@ -350,46 +361,3 @@ def _shape_gradients(X: Array, nodes: Array, gradients: Array, volume: Array) ->
 def _tensor(voigt: Array) -> Array:
     """Symmetric tensors (m, 3, 3) of stresses (m, 6) xx yy zz yz zx xy."""
     return voigt[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
-
-
-def _rotation_vectors(R: Array) -> Array:
-    """Rotation vectors of rotation matrices (m, 3, 3), through the largest quaternion component."""
-    diagonal = R[:, [0, 1, 2], [0, 1, 2]]
-    trace = diagonal.sum(axis=1)
-    # 4 q q^T: any of its rows is a multiple of the quaternion (w, x, y, z)
-    outer = np.empty((R.shape[0], 4, 4))
-    outer[:, 0, 0] = 1.0 + trace
-    outer[:, [1, 2, 3], [1, 2, 3]] = 1.0 - trace[:, None] + 2.0 * diagonal
-    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), start=1):
-        outer[:, 0, k] = outer[:, k, 0] = R[:, i, j] - R[:, j, i]
-    for (a, b), (i, j) in (((1, 2), (0, 1)), ((1, 3), (0, 2)), ((2, 3), (1, 2))):
-        outer[:, a, b] = outer[:, b, a] = R[:, i, j] + R[:, j, i]
-    row = np.argmax(outer[:, [0, 1, 2, 3], [0, 1, 2, 3]], axis=1)
-    q = outer[np.arange(R.shape[0]), row]
-    q *= np.where(q[:, :1] < 0.0, -1.0, 1.0)
-    sine = np.linalg.norm(q[:, 1:], axis=1)
-    angle = 2.0 * np.arctan2(sine, q[:, 0])
-    factor = np.divide(angle, sine, out=np.full_like(sine, 0.0), where=sine > 0.0)
-    return q[:, 1:] * factor[:, None]
-
-
-def _coupling_norms(
-    nodes: Array, gradients: Array, volume: Array, lam: Array, mu: Array, n: int
-) -> tuple[Array, Array, Array, Array]:
-    """Spectral norms of the off-diagonal 3x3 blocks in CSR form and of the diagonal blocks [N/m]."""
-    pairs = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
-    ends = nodes[:, pairs].astype(np.int64)
-    keys, edges = np.unique(ends.min(axis=2) * n + ends.max(axis=2), return_inverse=True)
-    blocks, diagonal = np.zeros((keys.size, 9)), np.zeros((n, 9))
-    stiffness.coupling_blocks(
-        nodes, edges.reshape(-1, 6).astype(np.int32), gradients, volume, lam, mu, diagonal, blocks
-    )
-    norms, diagonal_norms = np.empty(keys.size), np.empty(n)
-    stiffness.spectral_norms(blocks, norms)
-    stiffness.spectral_norms(diagonal, diagonal_norms)
-    low, high = keys // n, keys % n
-    row = np.concatenate([low, high])
-    order = np.argsort(row, kind="stable")
-    row_start = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=n))]).astype(np.int32)
-    column = np.concatenate([high, low])[order].astype(np.int32)
-    return row_start, column, np.concatenate([norms, norms])[order], diagonal_norms

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fdem.blocks.assembly import elastic_stiffness, upper_block_rows
 from fdem.kernels import corotated, zones
 
 if TYPE_CHECKING:
     from fdem.blocks.zoned import ZonedBlocks
 
-__all__ = ["LargeStrain", "SmallStrain", "elasticity", "voigt_strain"]
+__all__ = ["LargeStrain", "SmallStrain", "elasticity", "rotation_vectors", "voigt_strain"]
 
 Array = Any
 
@@ -30,6 +31,27 @@ def elasticity(strain: Array, lam: Array, mu: Array) -> Array:
 def voigt_strain(strain: Array) -> Array:
     """Strain vectors (m, 6) xx yy zz yz zx xy with engineering shear of tensors (m, 3, 3)."""
     return strain[:, [0, 1, 2, 1, 2, 0], [0, 1, 2, 2, 0, 1]] * np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+
+
+def rotation_vectors(R: Array) -> Array:
+    """Rotation vectors of rotation matrices (m, 3, 3), through the largest quaternion component."""
+    diagonal = R[:, [0, 1, 2], [0, 1, 2]]
+    trace = diagonal.sum(axis=1)
+    # 4 q q^T: any of its rows is a multiple of the quaternion (w, x, y, z)
+    outer = np.empty((R.shape[0], 4, 4))
+    outer[:, 0, 0] = 1.0 + trace
+    outer[:, [1, 2, 3], [1, 2, 3]] = 1.0 - trace[:, None] + 2.0 * diagonal
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), start=1):
+        outer[:, 0, k] = outer[:, k, 0] = R[:, i, j] - R[:, j, i]
+    for (a, b), (i, j) in (((1, 2), (0, 1)), ((1, 3), (0, 2)), ((2, 3), (1, 2))):
+        outer[:, a, b] = outer[:, b, a] = R[:, i, j] + R[:, j, i]
+    row = np.argmax(outer[:, [0, 1, 2, 3], [0, 1, 2, 3]], axis=1)
+    q = outer[np.arange(R.shape[0]), row]
+    q *= np.where(q[:, :1] < 0.0, -1.0, 1.0)
+    sine = np.linalg.norm(q[:, 1:], axis=1)
+    angle = 2.0 * np.arctan2(sine, q[:, 0])
+    factor = np.divide(angle, sine, out=np.full_like(sine, 0.0), where=sine > 0.0)
+    return q[:, 1:] * factor[:, None]
 
 
 def _chunks(count: int, size: int) -> Array:
@@ -107,8 +129,6 @@ class SmallStrain:
     """
 
     def __init__(self, owner: ZonedBlocks, member: Array) -> None:
-        from fdem.blocks.assembly import elastic_stiffness, upper_block_rows
-
         self._owner = owner
         self.blocks = np.flatnonzero(member)
         self.zones = np.flatnonzero(member[owner.zone_block])

@@ -284,7 +284,7 @@ def _rigid_batch(layout: Layout, rigid: list[int], X: np.ndarray, density: np.nd
     for row, i in enumerate(rigid):
         shape = layout.blocks[i].shape
         # a platen without material moves as prescribed: its mass is never used, its weight must not matter
-        rho = density[i] if density[i] > 0 else 1e-30 * max(density.max(), np.finfo(float).tiny / 1e-30)
+        rho = density[i] if density[i] > 0 else 1e-30 * density.max() or 1.0
         mass[row], inertia[row] = rho * shape.volume, shape.inertia(rho)
         if layout.blocks[i].fixed:
             # equal moments: a prescribed spin then stays what it is within a step

@@ -95,7 +95,7 @@ class JointTables:
             chosen[mask] = rule_id
         if (chosen < 0).any():
             worst = int(np.argmin(chosen))
-            a, b = (self.model.names[block[worst]] for block in (block_a, block_b))
+            a, b = (self.model.names[i] for i in sorted((block_a[worst], block_b[worst])))
             raise JointError(f"blocks {a!r} and {b!r} can touch, but no joint law covers them; add scene.joint(law)")
         location = np.array(self.location, dtype=np.int32).reshape(-1, 2)
         return location[chosen, 0], location[chosen, 1], chosen
@@ -117,12 +117,15 @@ class JointTables:
                 kn, poisson = min(soft)
             else:
                 kn = self._rigid_stiffness()
-            self.notes.append(f"joint {type(law).__name__}: kn = {kn:.3g} Pa/m was chosen (numerical, not a rock property)")
-            warnings.warn(
-                f"joint {type(law).__name__}: kn = None, {kn:.3g} Pa/m was chosen; it changes with mesh and scene",
-                FdemWarning,
-                stacklevel=2,
+            self.notes.append(
+                f"joint {type(law).__name__}: kn = {kn:.3g} Pa/m was chosen (numerical, not a rock property)"
             )
+            if not rule.implicit:
+                warnings.warn(
+                    f"joint {type(law).__name__}: kn = None, {kn:.3g} Pa/m was chosen; it changes with mesh and scene",
+                    FdemWarning,
+                    stacklevel=2,
+                )
         ks = law.ks
         if ks is None:
             ks = kn * (0.8 if poisson is None else (1 - poisson) / (1 - poisson / 2))
@@ -144,4 +147,6 @@ class JointTables:
             return max(density * gravity * height, density * speed**2) / (1e-4 * length)
         if speed > 0:
             return density * speed**2 / (1e-4 * length)
-        raise JointError("joint: kn = None, but without gravity or velocities there is nothing to choose it from; give kn")
+        raise JointError(
+            "joint: kn = None, but without gravity or velocities there is nothing to choose it from; give kn"
+        )

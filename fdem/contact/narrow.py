@@ -149,11 +149,18 @@ def cut_pairs(
     g = geometry
     out = clip.clip_pairs(
         slave[which], master[which], window[which], size, int(np.diff(s.corner_start).max()),
-        s.face_start, s.corner_start, s.corner_w, s.ref, s.limit, s.convex, s.affine,
+        s.face_start, s.corner_start, s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open,
         x, g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper, g.block_lower, g.block_upper,
     )  # fmt: skip
     local, face_s, face_m, start, corners, margin, miss, miss_face, too_deep = out
     n = len(local)
+    bare = np.flatnonzero(np.bincount(local, minlength=len(which)) == 0)
+    lost = np.zeros(len(bare), np.uint8)
+    clip.swallowed(
+        slave[which[bare]], master[which[bare]], g.block_lower, g.block_upper, s.face_start, s.corner_start, g.corner_x,
+        s.open, lost,
+    )  # fmt: skip
+    too_deep[bare] |= lost
     pair = which[local].astype(np.int32)
     gp = np.column_stack([s.ref[face_s, :3], s.ref[face_m]]).astype(np.int32)
     p = Patches.none(memory)

@@ -198,7 +198,9 @@ class Explicit:
         system.advance(dt)
         system.lag = 0.5 * dt
         if system.stale:
-            self.refresh(system)
+            system.stale = False
+            if system.stiffened():
+                self.refresh(system)
 
 
 @dataclass

@@ -58,6 +58,7 @@ class System:
         self.a = np.zeros_like(state.v)
         self.f_load = np.zeros_like(state.f_gp) if loads else None
         self.xdot = np.zeros_like(state.x) if any(load.needs_velocity for load in loads) else None
+        self._k_used: np.ndarray | None = None
         self.current = False
         self.stale = True
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
@@ -192,6 +193,14 @@ class System:
             if isinstance(load, Bedding):
                 k[load.gp] += np.linalg.norm(load.matrices, 2, axis=(1, 2))
         return k
+
+    def stiffened(self) -> bool:
+        """Whether contact stiffness grew by 1 % anywhere, or halved in all, since the step was last found."""
+        k = self.stiffness()
+        if self._k_used is not None and (k <= 1.01 * self._k_used).all() and k.sum() >= 0.5 * self._k_used.sum():
+            return False
+        self._k_used = k
+        return True
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""

@@ -417,8 +417,26 @@ def _rival(
 
 
 @kernel
+def _inside(o, b, face_start, corner_start, corner_x):
+    """Whether the point `o` lies inside the closed surface of block b (solid angle; Van Oosterom and Strackee, 1983)."""
+    angle = 0.0
+    for f in range(face_start[b], face_start[b + 1]):
+        first = corner_start[f]
+        for c in range(first + 1, corner_start[f + 1] - 1):
+            ax, ay, az = corner_x[first, 0] - o[0], corner_x[first, 1] - o[1], corner_x[first, 2] - o[2]
+            bx, by, bz = corner_x[c, 0] - o[0], corner_x[c, 1] - o[1], corner_x[c, 2] - o[2]
+            cx, cy, cz = corner_x[c + 1, 0] - o[0], corner_x[c + 1, 1] - o[1], corner_x[c + 1, 2] - o[2]
+            la, lb = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
+            lc = math.sqrt(cx * cx + cy * cy + cz * cz)
+            triple = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+            ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
+            angle += 2.0 * math.atan2(triple, la * lb * lc + ab * lc + bc * la + ca * lb)
+    return angle > 2.0 * math.pi
+
+
+@kernel
 def clip_pairs(
-    slave, master, window, size, max_corners, face_start, corner_start, corner_w, ref, limit, convex, affine,
+    slave, master, window, size, max_corners, face_start, corner_start, corner_w, ref, limit, convex, affine, is_open,
     x, corner_x, normal, wall, kind, lower, upper, block_lower, block_upper,
 ):  # fmt: skip
     """Cut the surfaces of slaves by the depth cells of masters: the patches of the pairs.
@@ -602,14 +620,11 @@ def clip_pairs(
                         if not nearer:
                             continue
                         n_before = n_pieces
-                        n_pieces = _rival(
-                            g, xs, df, dg, False, h, bufs, work, n_pieces, snap, corner_start, corner_x, normal, wall, kind,
-                            tmp, part, side, v,
-                        )  # fmt: skip
-                        n_pieces = _rival(
-                            g, xs, df, dg, True, 4.0 * h, bufs, work, n_pieces, snap, corner_start, corner_x, normal, wall, kind,
-                            tmp, part, side, v,
-                        )  # fmt: skip
+                        for outside in range(2):
+                            n_pieces = _rival(
+                                g, xs, df, dg, outside == 1, 4.0 * h, bufs, work, n_pieces, snap, corner_start, corner_x,
+                                normal, wall, kind, tmp, part, side, v,
+                            )  # fmt: skip
                         if n_pieces != n_before:
                             margin = 0.0
                 e1x, e1y, e1z = xs[1, 0] - xs[0, 0], xs[1, 1] - xs[0, 1], xs[1, 2] - xs[0, 2]
@@ -622,8 +637,20 @@ def clip_pairs(
                         continue
                     low, high = _extremes(bufs[q], count, df[0], df[1], df[2])
                     if high > deep:
-                        if _ratio(bufs[q], count) * triangle > 1e-12 * size[p] ** 2:
-                            too_deep[p] = 1
+                        for i in range(count):
+                            part[i, 0], part[i, 1] = bufs[q, i, 0], bufs[q, i, 1]
+                        rest = _cut(part, count, df[0] - deep, df[1] - deep, df[2] - deep, snap, tmp)
+                        if rest > 0 and _ratio(part, rest) * triangle > 1e-12 * size[p] ** 2:
+                            if convex[m]:
+                                too_deep[p] = 1
+                            else:  # below the slab of f there may be air again
+                                w1, w2 = 0.0, 0.0
+                                for i in range(rest):
+                                    w1, w2 = w1 + part[i, 0] / rest, w2 + part[i, 1] / rest
+                                for d in range(3):
+                                    side[d] = (1.0 - w1 - w2) * xs[0, d] + w1 * xs[1, d] + w2 * xs[2, d]
+                                if is_open[m] or _inside(side, m, face_start, corner_start, corner_x):
+                                    too_deep[p] = 1
                         count = _cut(bufs[q], count, deep - df[0], deep - df[1], deep - df[2], snap, tmp)
                     if count == 0 or not _ratio(bufs[q], count) * triangle > 1e-12 * size[p] * size[p]:
                         continue
@@ -660,3 +687,21 @@ def _grow_int(a):
     out = np.empty(2 * len(a), np.int32)
     out[: len(a)] = a
     return out
+
+
+@kernel
+def swallowed(slave, master, block_lower, block_upper, face_start, corner_start, corner_x, is_open, out):
+    """Mark pairs (n_pairs,) uint8 one block of which lies inside the other: box in box and winding number of a corner."""
+    for p in range(len(slave)):
+        for turn in range(2):
+            a, b = (slave[p], master[p]) if turn == 0 else (master[p], slave[p])
+            if is_open[b]:
+                continue
+            within = True
+            for d in range(3):
+                if not (block_lower[a, d] > block_lower[b, d] and block_upper[a, d] < block_upper[b, d]):
+                    within = False
+            if not within:
+                continue
+            if _inside(corner_x[corner_start[face_start[a]]], b, face_start, corner_start, corner_x):
+                out[p] = 1

@@ -31,6 +31,50 @@ def _start_tetrahedron(corners, points, loops, length):
 
 
 @kernel
+def _add_caps(loops, length, cap_next, cuts, faces, base):
+    """Close a cut: every cut edge is entered once and left once, the caps are the cycles of that permutation.
+
+    Returns the new number of faces, -1 if the arrays overflow.
+    """
+    for start in range(cuts):
+        if cap_next[start] < 0:
+            continue
+        if faces >= loops.shape[0]:
+            return -1
+        kept = 0
+        c = start
+        while cap_next[c] >= 0:
+            if kept >= loops.shape[1]:
+                return -1
+            loops[faces, kept] = base + c
+            kept += 1
+            after = cap_next[c]
+            cap_next[c] = -1
+            c = after
+        if kept > 2:
+            length[faces] = kept
+            faces += 1
+    return faces
+
+
+@kernel
+def _drop_outside(points, loops, length, count, total, faces, side, new_id):
+    """Renumber the vertices that are left: those inside and those on cut edges."""
+    base = count[0]
+    n = 0
+    for i in range(total):
+        if i >= base or side[i] <= 0.0:
+            new_id[i] = n
+            for d in range(3):
+                points[n, d] = points[i, d]
+            n += 1
+    for f in range(faces):
+        for k in range(length[f]):
+            loops[f, k] = new_id[loops[f, k]]
+    count[0], count[1] = n, faces
+
+
+@kernel
 def _clip(points, loops, length, count, px, py, pz, nx, ny, nz, side, scratch):
     """Keep the part of a convex polyhedron with ``(x - p).n <= 0``.
 
@@ -95,37 +139,10 @@ def _clip(points, loops, length, count, px, py, pz, nx, ny, nz, side, scratch):
             loops[faces, k] = row[k]
         length[faces] = kept
         faces += 1
-    # every cut is entered once and left once: the caps are the cycles of that permutation
-    for start in range(cuts):
-        if cap_next[start] < 0:
-            continue
-        if faces >= loops.shape[0]:
-            return False
-        kept = 0
-        c = start
-        while cap_next[c] >= 0:
-            if kept >= loops.shape[1]:
-                return False
-            loops[faces, kept] = base + c
-            kept += 1
-            after = cap_next[c]
-            cap_next[c] = -1
-            c = after
-        if kept > 2:
-            length[faces] = kept
-            faces += 1
-    # drop the vertices that were cut off
-    n = 0
-    for i in range(base + cuts):
-        if i >= base or side[i] <= 0.0:
-            new_id[i] = n
-            for d in range(3):
-                points[n, d] = points[i, d]
-            n += 1
-    for f in range(faces):
-        for k in range(length[f]):
-            loops[f, k] = new_id[loops[f, k]]
-    count[0], count[1] = n, faces
+    faces = _add_caps(loops, length, cap_next, cuts, faces, base)
+    if faces < 0:
+        return False
+    _drop_outside(points, loops, length, count, base + cuts, faces, side, new_id)
     return True
 
 
@@ -217,8 +234,21 @@ def voronoi_masses(X, nodes, density, n_cells, lower, width, mass):
                 reach = max(reach, square)
                 n_vertices += 1
         n_owners = _find_owners(
-            X, nodes[e], origin, corners, np.sqrt(reach), vertices, owner_square, n_vertices, n_cells, lower, width,
-            cell_start, cell_points, owners, local,
+            X,
+            nodes[e],
+            origin,
+            corners,
+            np.sqrt(reach),
+            vertices,
+            owner_square,
+            n_vertices,
+            n_cells,
+            lower,
+            width,
+            cell_start,
+            cell_points,
+            owners,
+            local,
         )
         if n_owners == 4:
             for a in range(4):
@@ -239,15 +269,38 @@ def voronoi_masses(X, nodes, density, n_cells, lower, width, mass):
 def _bisect(points, loops, length, count, a, b, side, scratch):
     """Keep what is closer to a than to b."""
     return _clip(
-        points, loops, length, count, 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]),
-        b[0] - a[0], b[1] - a[1], b[2] - a[2], side, scratch,
+        points,
+        loops,
+        length,
+        count,
+        0.5 * (a[0] + b[0]),
+        0.5 * (a[1] + b[1]),
+        0.5 * (a[2] + b[2]),
+        b[0] - a[0],
+        b[1] - a[1],
+        b[2] - a[2],
+        side,
+        scratch,
     )
 
 
 @kernel
 def _find_owners(
-    X, tet, origin, corners, reach, vertices, owner_square, n_vertices, n_cells, lower, width, cell_start, cell_points,
-    owners, local,
+    X,
+    tet,
+    origin,
+    corners,
+    reach,
+    vertices,
+    owner_square,
+    n_vertices,
+    n_cells,
+    lower,
+    width,
+    cell_start,
+    cell_points,
+    owners,
+    local,
 ):
     """Append to ``owners`` the gridpoints nearer to some part's vertex than the owner of that part."""
     n_owners = 4

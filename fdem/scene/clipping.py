@@ -93,6 +93,8 @@ def divide(
     caps = _caps(pool, above + below, d, plane.normal)
     above += [Face(loop, tag, -1) for loop in caps]
     below += [Face(loop[::-1], tag, -1) for loop in caps]
+    if any(_folded(pool, loop) for loop in caps):
+        raise MeshError("the solid touches itself in the plane of the cut")
     if not (closed(above) and closed(below)):
         raise MeshError("the section does not close")
     return above, below, caps
@@ -218,6 +220,18 @@ def _caps(pool: Pool, faces: Iterable[Face], d: dict[int, float], normal: Point)
     vertices = sorted({v for edge in edges for v in edge})
     xy = plane_coordinates(pool, vertices, [-x for x in normal])
     return regions(trace(edges, xy), xy)
+
+
+def _folded(pool: Pool, loop: list[int]) -> bool:
+    """Whether a loop turns straight back at a vertex."""
+    points = [pool.points[v] for v in loop]
+    for k, here in enumerate(points):
+        back, ahead = minus(points[k - 2], points[k - 1]), minus(here, points[k - 1])
+        along = dot(back, ahead)
+        # an angle below 1e-7 rad
+        if along > 0.0 and along * along >= (1.0 - 1e-14) * dot(back, back) * dot(ahead, ahead):
+            return True
+    return False
 
 
 def components(pool: Pool, faces: list[Face]) -> list[list[Face]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fdem.errors import MeshError
 from fdem.scene.gmsh_session import ROUND, fill_surface, session
-from fdem.scene.surfaces import SharedSurfaces
+from fdem.scene.surfaces import BlockSurface, SharedSurfaces
 from fdem.scene.tetmesh import TetMesh, boundary_facets
 
 __all__ = ["ZoneMesh", "zone_meshes"]
@@ -87,8 +87,7 @@ def zone_meshes(shapes: Sequence[Any], sizes: Sequence[float | None]) -> list[Zo
         surfaces = SharedSurfaces([shapes[k] for k in chosen], targets, chosen)
         with session() as gmsh:
             for place, k in enumerate(chosen):
-                points, triangles, owner = surfaces.surface(gmsh, place)
-                meshes[k] = _filled(gmsh, shapes[k], targets[place], points, triangles, owner, k)
+                meshes[k] = _filled(gmsh, shapes[k], targets[place], surfaces.surface(gmsh, place), k)
     return [mesh for mesh in meshes if mesh is not None]
 
 
@@ -133,19 +132,14 @@ class _Surface:
         return _smallest_altitude(points, tets), inside, tets
 
 
-def _filled(
-    gmsh: Any, shape: Any, size: float, points: Array, triangles: Array, owner: Array, block: int
-) -> ZoneMesh:
+def _filled(gmsh: Any, shape: Any, size: float, raw: BlockSurface, block: int) -> ZoneMesh:
     """Fill a surface mesh with zones and put everything into a fast order."""
-    lower, upper = points.min(axis=0), points.max(axis=0)
-    extent, middle = float((upper - lower).max()), 0.5 * (lower + upper)
-    places = np.rint((points - middle) / (extent * ROUND))
     # numbers by place: what gmsh sees does not depend on how the scene was listed
-    order = np.lexsort(places.T[::-1])
+    order = np.lexsort(raw.places.T[::-1])
     number = np.empty(len(order), dtype=np.int64)
     number[order] = np.arange(len(order))
-    triangles, owner = _sorted_triangles(number[triangles], owner)
-    surface = _Surface(shape, size, points[order], places[order] * ROUND, triangles, middle, extent)
+    triangles, owner = _sorted_triangles(number[raw.triangles], raw.triangle_face)
+    surface = _Surface(shape, size, raw.points[order], raw.places[order], triangles, raw.middle, raw.extent)
     inside, tets = _best_fill(gmsh, surface, block)
     return _renumbered(np.concatenate([surface.points, inside]), tets, triangles, owner)
 
@@ -203,9 +197,9 @@ def _acceptable(points: Array, tets: Array) -> bool:
 def _smallest_altitude(points: Array, tets: Array) -> float:
     corners = points[tets]
     facets = corners[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]]
-    areas2 = np.linalg.norm(
-        np.cross(facets[:, :, 1] - facets[:, :, 0], facets[:, :, 2] - facets[:, :, 0]), axis=2
-    ).max(axis=1)
+    areas2 = np.linalg.norm(np.cross(facets[:, :, 1] - facets[:, :, 0], facets[:, :, 2] - facets[:, :, 0]), axis=2).max(
+        axis=1
+    )
     return float(np.min(_volumes6(points, tets) / areas2))
 
 

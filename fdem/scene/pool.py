@@ -54,14 +54,14 @@ class Pool:
     points : list of (x, y, z)
         [m].
     parents : dict
-        For a vertex made by a cut, the ends of the edge it was made on.
+        For a vertex made by a cut, the ends of the edges it was made on.
     tolerance : float
         Distance within which a vertex lies on a plane [m].
     """
 
     def __init__(self, shape: Polyhedron) -> None:
         self.points: list[Point] = [(x, y, z) for x, y, z in shape.points.tolist()]
-        self.parents: dict[int, tuple[int, int]] = {}
+        self.parents: dict[int, list[tuple[int, int]]] = {}
         self._made: dict[tuple[int, int, Plane], int] = {}
         self.tolerance = SNAP * shape.size + ROUND_OFF * float(np.abs(shape.bounds).max())
 
@@ -80,10 +80,11 @@ class Pool:
             # the same edge met by the same plane after it had been divided elsewhere
             if abs(o[0] - new[0]) <= near and abs(o[1] - new[1]) <= near and abs(o[2] - new[2]) <= near:
                 self._made[key] = k
+                self.parents.setdefault(k, []).append((a, b))
                 return k
         self.points.append(new)
         self._made[key] = len(self.points) - 1
-        self.parents[self._made[key]] = (a, b)
+        self.parents[self._made[key]] = [(a, b)]
         return self._made[key]
 
 

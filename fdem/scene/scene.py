@@ -12,7 +12,7 @@ import numpy as np
 from fdem.errors import SceneError
 from fdem.scene.bodies import Rigid, Zoned
 from fdem.scene.checks import number, vector
-from fdem.scene.joints import Joint
+from fdem.scene.joints import Bonded, Joint
 from fdem.scene.materials import Elastic
 from fdem.scene.shapes import Polyhedron, Shape, Surface, TetMesh
 
@@ -51,10 +51,17 @@ class Block:
 
     def set(self, **values: Any) -> None:
         """Assign fields on this block and all its pieces, with the checks of `Scene.add`."""
-        for block in [self, *self.leaves()]:
-            block._given.update(values)
-            if not block.pieces:
-                self._scene.check(block)
+        blocks = list(dict.fromkeys([self, *self.leaves()]))
+        before = [block._given for block in blocks]
+        for block in blocks:
+            block._given = {**block._given, **values}
+        try:
+            for leaf in self.leaves():
+                self._scene.check(leaf)
+        except SceneError:
+            for block, given in zip(blocks, before, strict=True):
+                block._given = given
+            raise
 
     velocity: np.ndarray = property(lambda self: self._given["velocity"])  # type: ignore[assignment]
     angular_velocity: np.ndarray = property(lambda self: self._given["angular_velocity"])  # type: ignore[assignment]
@@ -119,26 +126,41 @@ class JointRule:
     target: Any = None
     between: tuple[Any, Any] | None = None
     where: Where | None = None
+    implicit: bool = False
 
     @property
     def rank(self) -> int:
-        """Precedence: `where` with anything, then `between`, then target, then the default."""
+        """Precedence: `where` with anything, then `between`, then target, the default, what is implied."""
+        if self.implicit:
+            return -1
         return 3 if self.where is not None else 2 if self.between is not None else 1 if self.target is not None else 0
 
 
 @dataclass
 class _Names:
-    """The one namespace of blocks, groups, joint sets and mesh tags."""
+    """The one namespace of blocks, groups, joint sets, cutting shapes and mesh tags."""
 
     kinds: dict[str, set[str]] = field(default_factory=dict)
 
-    def take(self, name: str, kind: str) -> None:
-        have = self.kinds.setdefault(name, set())
-        if have - {kind} and have | {kind} != {"group", "joint set"}:
+    def check(self, name: str, kind: str) -> None:
+        """Refuse a clash; only a cutting shape and the group its pieces join share a name."""
+        if not isinstance(name, str) or not name:
+            raise SceneError(f"{kind}: name = {name!r}, allowed is a text that is not empty")
+        have = self.kinds.get(name, set())
+        if have - {kind} and have | {kind} != {"group", "cutting shape"}:
             raise SceneError(f"name {name!r} is taken by a {min(have - {kind})}, it cannot name a {kind} as well")
         if kind == "block" and kind in have:
             raise SceneError(f"name {name!r}: a block of that name exists")
-        have.add(kind)
+
+    def take(self, name: str, kind: str) -> None:
+        self.check(name, kind)
+        self.kinds.setdefault(name, set()).add(kind)
+
+    def unused(self, stem: str, first: int) -> str:
+        """First of ``stem_first``, ``stem_(first + 1)``, ... that nothing is named by."""
+        while f"{stem}_{first}" in self.kinds:
+            first += 1
+        return f"{stem}_{first}"
 
 
 class Scene:
@@ -217,7 +239,8 @@ class Scene:
             if not shape:
                 raise SceneError("add: the list of shapes is empty")
             return [self.add(s, body, material, name=n, **given) for s, n in zip(shape, names, strict=True)]  # type: ignore[arg-type]
-        label = name or f"block_{len(self.handles)}"
+        label = self._names.unused("block", len(self.handles)) if name is None else name
+        self._names.check(label, "block")
         block = Block(
             self,
             label,
@@ -230,11 +253,12 @@ class Scene:
             angular_velocity=vector(f"block {label!r}", "angular_velocity", angular_velocity),
         )
         self.check(block)
-        self._names.take(label, "block")
-        if group is not None:
-            self._names.take(group, "group")
-        for tag in sorted(tags_of(block.shape)):
-            self._names.take(tag, "tag")
+        wanted = [(label, "block"), *([] if group is None else [(group, "group")])]
+        wanted += [(tag, "tag") for tag in sorted(tags_of(block.shape))]
+        for text, kind in wanted:
+            self._names.check(text, kind)
+        for text, kind in wanted:
+            self._names.take(text, kind)
         self.handles.append(block)
         return block
 
@@ -261,8 +285,10 @@ class Scene:
     def regroup(self, block: Block, group: str | None) -> None:
         """Move a block (with its pieces) to another group."""
         if group is not None:
-            self._names.take(group, "group")
+            self._names.check(group, "group")
         block.set(group=group)
+        if group is not None:
+            self._names.take(group, "group")
 
     def cut(self, cutter: Any, target: Any = None, where: Where | None = None, name: str | None = None) -> list[Block]:
         """Cut blocks with a joint set, a disc or a closed shape.
@@ -288,15 +314,19 @@ class Scene:
         SceneError
             If nothing is selected or the name clashes.
         """
-        from fdem.scene.cutting import split
+        from fdem.scene.cutting import Disc, JointSet, split
 
-        label = name or getattr(cutter, "name", None) or f"cut_{sum('joint set' in k for k in self._names.kinds.values())}"
-        self._names.take(label, "joint set")
+        if not isinstance(cutter, (JointSet, Disc)):
+            cutter = as_shape(cutter)
+        kind = "cutting shape" if isinstance(cutter, Shape) else "joint set"
+        label = name or getattr(cutter, "name", None) or self._names.unused("cut", 0)
+        self._names.check(label, kind)
         chosen = self._where("cut", self.select_blocks(target), where)
         rng = np.random.default_rng(getattr(cutter, "seed", 0))
+        parts = [split(block.shape, cutter, label, rng) for block in chosen]
+        self._names.take(label, kind)
         new: list[Block] = []
-        for block in chosen:
-            pieces = split(block.shape, cutter, label, rng)
+        for block, pieces in zip(chosen, parts, strict=True):
             if len(pieces) == 1 and not pieces[0][1]:
                 continue
             for shape, inside in pieces:
@@ -424,7 +454,7 @@ class Scene:
 
     def is_joint_set(self, name: str) -> bool:
         """Whether `name` is that of a joint set or mesh tag, so that it means faces."""
-        return bool({"joint set", "tag"} & self._names.kinds.get(name, set()))
+        return bool({"joint set", "cutting shape", "tag"} & self._names.kinds.get(name, set()))
 
     def select(self, target: Any) -> list[tuple[Block, str | None]]:
         """Blocks a selector means, each with the face tag that selects within it (None: all of it).
@@ -438,6 +468,8 @@ class Scene:
         if target is None:
             found = [(block, None) for block in self.blocks]
         elif isinstance(target, Block):
+            if target._scene is not self:
+                raise SceneError(f"selector {target!r}: this block belongs to another scene")
             found = [(leaf, None) for leaf in target.leaves()]
         elif isinstance(target, (list, tuple)):
             found = list(dict.fromkeys(pair for entry in target for pair in self.select(entry)))
@@ -456,7 +488,7 @@ class Scene:
                     return [(leaf, None) for leaf in block.leaves()]
         kinds = self._names.kinds.get(name, set())
         blocks = self.blocks
-        if kinds == {"joint set"} or "tag" in kinds:
+        if kinds in ({"joint set"}, {"cutting shape"}, {"tag"}):
             return [(block, name) for block in blocks if name in tags_of(block.shape)]
         return [(b, None) for b in blocks if fnmatchcase(b.name, name) or (b.group is not None and fnmatchcase(b.group, name))]
 
@@ -490,7 +522,8 @@ class Scene:
         Returns
         -------
         Scene
-            The scene; groups and tags are the mesh's.
+            The scene; groups and tags are the mesh's. Where two volumes meet without a split they are
+            glued (`Bonded`), unless a joint law is given for them.
 
         Raises
         ------
@@ -504,6 +537,9 @@ class Scene:
             scene.add(shape, _by_group("body", body, group), _by_group("material", material, group), group=group)
         for tag in [split] if isinstance(split, str) else split or []:
             scene._names.take(tag, "tag")
+        # volumes of one mesh hang together unless the user splits them or says otherwise
+        for tag in sorted({tag for block in scene.blocks for tag in tags_of(block.shape) if "|" in tag}):
+            scene.joints.append(JointRule(Bonded(), tag, implicit=True))
         return scene
 
 

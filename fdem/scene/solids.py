@@ -257,19 +257,30 @@ def _locator(pool: Pool, vertices: set[int], edges: set[tuple[int, int]]) -> Cal
         if v in vertices or v not in pool.parents:
             return None
         if v not in known:
-            a, b = pool.parents[v]
-            at = [(p, None if p in vertices else locate(p)) for p in (a, b)]
-            if a in vertices and b in vertices:
-                key = (min(a, b), max(a, b))
-                known[v] = key if key in edges else None
-            else:
-                # one end at least lies inside the edge, if the vertex does
-                edge = next((e for _, e in at if e is not None), None)
-                fits = edge is not None and all(e == edge or (e is None and p in edge) for p, e in at)
-                known[v] = edge if fits else None
+            # an edge may have been met again after it had been divided: look at all it was made on
+            known[v] = None
+            # in order and no further than needed: later ones may refer back to this vertex
+            through = (_edge_through(a, b) for a, b in pool.parents[v])
+            known[v] = next((edge for edge in through if edge is not None and _inside(pool, v, *edge)), None)
         return known[v]
 
+    def _edge_through(a: int, b: int) -> tuple[int, int] | None:
+        if a in vertices and b in vertices:
+            key = (min(a, b), max(a, b))
+            return key if key in edges else None
+        # one end at least lies inside the edge
+        at = [(p, None if p in vertices else locate(p)) for p in (a, b)]
+        edge = next((e for _, e in at if e is not None), None)
+        fits = edge is not None and all(e == edge or (e is None and p in edge) for p, e in at)
+        return edge if fits else None
+
     return locate
+
+
+def _inside(pool: Pool, v: int, a: int, b: int) -> bool:
+    """Whether a vertex on the line through a and b lies between them."""
+    edge, away = minus(pool.points[b], pool.points[a]), minus(pool.points[v], pool.points[a])
+    return 0.0 < dot(edge, away) < dot(edge, edge)
 
 
 def _merged(pool: Pool, pieces: list[list[Face]], first_new: int) -> list[list[Face]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -10,9 +11,9 @@ import numpy as np
 
 from fdem.errors import MeshError
 from fdem.scene.gmsh_session import ROUND, mesh_polygon
-from fdem.scene.polygons import area_vector, plane_basis, triangulate
+from fdem.scene.polygons import area_vector, triangulate
 
-__all__ = ["SharedSurfaces"]
+__all__ = ["BlockSurface", "SharedSurfaces"]
 
 Array = Any
 
@@ -20,6 +21,34 @@ _SAME_POINT = 1e-9  # of the size of the scene: vertices of neighbours that are 
 _FLAT = 1e-6  # of the size of a face: beyond that it is divided into its triangles
 _WHOLE = 1.5  # faces smaller than this many zone sizes, with undivided edges, get no points inside
 _ALGORITHMS = (6, 5, 1)  # frontal Delaunay, Delaunay, MeshAdapt
+
+
+@dataclass(frozen=True)
+class BlockSurface:
+    """The surface mesh of one block.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        [m].
+    places : (n, 3) array
+        The same, normalised: ``(x - middle) / extent``, multiples of `ROUND`.
+    triangles : (k, 3) int array
+        Outward.
+    triangle_face : (k,) int array
+        Face of the polyhedron.
+    middle : (3,) array
+        [m].
+    extent : float
+        [m].
+    """
+
+    points: Array
+    places: Array
+    triangles: Array
+    triangle_face: Array
+    middle: Array
+    extent: float
 
 
 class SharedSurfaces:
@@ -55,6 +84,7 @@ class SharedSurfaces:
                     self._edge_size[edge] = min(size, self._edge_size.get(edge, np.inf))
         self._points: list[Array] = list(self._corners)
         self._edge_points: dict[tuple[int, int], list[int]] = {}
+        self._inside: dict[tuple[int, ...], tuple[list[int], Array, int]] = {}
         self._meshes: dict[tuple[int, ...], tuple[list[int], Array]] = {}
 
     def _number(self, shapes: Sequence[Any]) -> None:
@@ -99,7 +129,7 @@ class SharedSurfaces:
         heights = (points - points.mean(axis=0)) @ normal
         return bool(np.ptp(heights) <= _FLAT * length * np.ptp(points, axis=0).max())
 
-    def surface(self, gmsh: Any, block: int) -> tuple[Array, Array, Array]:
+    def surface(self, gmsh: Any, block: int) -> BlockSurface:
         """Surface mesh of a block.
 
         Parameters
@@ -111,12 +141,8 @@ class SharedSurfaces:
 
         Returns
         -------
-        points : (n, 3) array
-            [m]; corners are exactly the block's own.
-        triangles : (k, 3) int array
-            Outward.
-        triangle_face : (k,) int array
-            Face of the polyhedron.
+        BlockSurface
+            Corners are exactly the block's own.
         """
         triangles, owner = [], []
         for loop, number in self._faces[block]:
@@ -132,7 +158,29 @@ class SharedSurfaces:
         for row, k in enumerate(used.tolist()):
             if k in own:
                 points[row] = own[k]
-        return points, local.reshape(-1, 3), np.concatenate(owner)
+        corners = np.array(list(own.values()))
+        lower, upper = corners.min(axis=0), corners.max(axis=0)
+        extent, middle = float((upper - lower).max()), 0.5 * (lower + upper)
+        place = {k: np.rint((p - middle) / (extent * ROUND)) * ROUND for k, p in own.items()}
+        self._place_inner(block, place)
+        places = np.rint(np.array([place[k] for k in used.tolist()]) / ROUND) * ROUND
+        return BlockSurface(points, places, local.reshape(-1, 3), np.concatenate(owner), middle, extent)
+
+    def _place_inner(self, block: int, place: dict[int, Array]) -> None:
+        """Normalised places of points on edges and faces, from those of the corners.
+
+        Rounding the corners alone, and not every point, is what makes the mesh insensitive to noise in the
+        coordinates: a few roundings instead of thousands could tip over.
+        """
+        for loop, _ in self._faces[block]:
+            for a, b in _edges(loop):
+                inner = self._edge_points[a, b]
+                for k, point in enumerate(inner, start=1):
+                    place[point] = place[a] + (place[b] - place[a]) * (k / (len(inner) + 1))
+            ring, inside, first = self._inside[tuple(sorted(loop))]
+            if len(inside):
+                frame = _Frame(np.array([place[k] for k in ring]))
+                place.update(zip(range(first, first + len(inside)), frame.lift(inside), strict=True))
 
     def _oriented(self, gmsh: Any, loop: list[int]) -> Array:
         """Triangles of a face, turning as the loop does."""
@@ -174,48 +222,50 @@ class SharedSurfaces:
         corners = self._corners[ring]
         sides = [self._divide(a, b) for a, b in zip(ring, ring[1:] + ring[:1], strict=True)]
         boundary = [v for side in sides for v in side]
-        middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-        normal = area_vector(corners.tolist())
-        u, v = self._frame(corners, normal)
-        axis = np.cross(u, v)
-        middle = middle - ((middle - corners.mean(axis=0)) @ axis) * axis
-        plane = np.column_stack([(corners - middle) @ u, (corners - middle) @ v])
-        extent = float(np.ptp(plane, axis=0).max())
-        if len(boundary) == len(ring) and extent <= _WHOLE * size:
+        frame = _Frame(corners)
+        key = tuple(sorted(ring))
+        self._inside[key] = ring, np.empty((0, 2)), len(self._points)
+        if len(boundary) == len(ring) and frame.extent <= _WHOLE * size:
             return np.array([[ring[k] for k in t] for t in triangulate(corners.tolist())])
-        rounded = np.rint(plane / (extent * ROUND)) * ROUND
+        rounded = np.rint(frame.drop(corners) / ROUND) * ROUND
         divisions = np.array([len(side) for side in sides])
-        relative = float(np.rint(min(size / extent, 1e3) / ROUND) * ROUND)
-        area = _area2(plane)
+        relative = float(np.rint(min(size / frame.extent, 1e3) / ROUND) * ROUND)
+        edge = frame.drop(np.array([self._points[k] for k in boundary]))
         for algorithm in _ALGORITHMS:
             meshed = mesh_polygon(gmsh, rounded, divisions, relative, algorithm)
-            if meshed is None:
-                continue
-            inside, triangles = meshed
-            full = np.concatenate([self._in_plane(boundary, middle, u, v), inside * extent])
-            if _covers(full, triangles, area, len(boundary)):
+            if meshed is not None and _covers(np.concatenate([edge, meshed[0]]), meshed[1], _area2(edge), len(edge)):
                 break
         else:
             raise MeshError(f"gmsh cannot mesh the face with corners {corners.tolist()}")
         first = len(self._points)
-        self._points.extend(middle + extent * (p[0] * u + p[1] * v) for p in inside)
-        return np.concatenate([boundary, np.arange(first, len(self._points))]).astype(np.int64)[triangles]
+        self._inside[key] = ring, meshed[0], first
+        self._points.extend(frame.lift(meshed[0]))
+        return np.concatenate([boundary, np.arange(first, len(self._points))]).astype(np.int64)[meshed[1]]
 
-    def _in_plane(self, ids: list[int], middle: Array, u: Array, v: Array) -> Array:
-        points = np.array([self._points[k] for k in ids]) - middle
-        return np.column_stack([points @ u, points @ v])
 
-    @staticmethod
-    def _frame(corners: Array, normal: Sequence[float]) -> tuple[Array, Array]:
-        """Axes in the plane, the first along the first side: a turned copy of a face looks the same."""
-        n = np.array(normal) / np.linalg.norm(normal)
+class _Frame:
+    """Axes in the plane of a face, the first along its first side: a turned copy of a face looks the same."""
+
+    def __init__(self, corners: Array) -> None:
+        normal = np.array(area_vector(corners.tolist()))
+        normal /= np.linalg.norm(normal)
         side = corners[1] - corners[0]
-        u = side - (side @ n) * n
-        length = np.linalg.norm(u)
-        if not length > 0.0:
-            return plane_basis(normal)
-        u = u / length
-        return u, np.cross(n, u)
+        side = side - (side @ normal) * normal
+        self.u = side / np.linalg.norm(side)
+        self.v = np.cross(normal, self.u)
+        middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        self.middle = middle - ((middle - corners.mean(axis=0)) @ normal) * normal
+        self.extent = 1.0
+        self.extent = float(np.ptp(self.drop(corners), axis=0).max())
+
+    def drop(self, points: Array) -> Array:
+        """Coordinates (n, 2) in the plane, of order one."""
+        local = (points - self.middle) / self.extent
+        return np.column_stack([local @ self.u, local @ self.v])
+
+    def lift(self, plane: Array) -> Array:
+        """Points (n, 3) in space."""
+        return self.middle + self.extent * (plane[:, :1] * self.u + plane[:, 1:] * self.v)
 
 
 def _edges(loop: list[int]) -> list[tuple[int, int]]:

@@ -6,9 +6,9 @@ import functools
 
 import numpy as np
 import pytest
-from verify.meshes import box, plane
 
 import fdem
+from verify.meshes import box, plane
 
 LENGTH, DEPTH, WIDTH, LOAD, YOUNG = 8.0, 1.0, 1.0, 1e5, 1e10
 INERTIA = WIDTH * DEPTH**3 / 12
@@ -69,5 +69,5 @@ def test_strain_energy_approaches_from_below():
 
 
 def test_large_strain_gives_the_same():
-    # second order in the tip's rotation of 4e-6
-    assert tip(4, "large")[0] == pytest.approx(tip(4)[0], rel=1e-3)
+    # the tip turns by 4e-6 only; the solve ratio of 1e-5 leaves 0.1 % of the deflection to either
+    assert tip(4, "large")[0] == pytest.approx(tip(4)[0], rel=2e-3)

@@ -6,9 +6,9 @@ import functools
 
 import numpy as np
 import pytest
-from verify.meshes import quarter_ring
 
 import fdem
+from verify.meshes import quarter_ring
 
 INNER, OUTER, PRESSURE, YOUNG, POISSON = 1.0, 2.0, 1e7, 5e9, 0.3
 # 1e-3 of the pressure: Lame's formula is linear, the bore would otherwise open by 0.4 %
