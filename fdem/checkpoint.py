@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import zlib
+from copy import copy
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -23,6 +26,7 @@ __all__ = ["Carrier", "carry", "read", "restore", "save", "transfer"]
 FORMAT = 1
 SCALARS = ("lag", "dt", "work", "damped")
 ARRAYS = ("q", "v", "x", "x_old")
+KEPT = ("elastic_old", "_load_old", "_reaction_old")
 
 
 class Carrier:
@@ -106,11 +110,28 @@ def _carry_block(old: Carrier, sim: Simulation, before: int, after: int, motion:
 
 
 def transfer(source: Simulation, sim: Simulation) -> None:
-    """State of another simulation at the start of `sim` (see `Simulation`, `start`)."""
+    """State of another simulation at the start of `sim` (see `Simulation`, `start`); its ledger starts anew."""
+    system = source.system
+    history = {} if system.contacts is None else system.contacts.state_arrays()
+    x_old = system.state.x_old.copy()
+    names = (*SCALARS, *KEPT)
+    kept = {name: copy(getattr(system, name)) for name in names}
+    elastic = copy(system.elastic)
     source.forces()
-    source.system.commit()
+    system.commit()
     same = source.integrator.scaled == sim.integrator.scaled
     carry(Carrier(source), sim, motion=same)
+    # the source goes on as if nobody had looked
+    for name, value in kept.items():
+        setattr(system, name, value)
+    system.elastic = elastic
+    system.state.x_old[:] = x_old
+    if system.contacts is not None:
+        system.contacts.restore(history)
+    system.current = False
+    sim.system.work = sim.system.damped = 0.0
+    if sim.system.contacts is not None:
+        sim.system.contacts.work[:] = 0.0
     if not same:
         sim.x0, sim.centroids0 = sim.state.x.copy(), sim.centroids()
         sim.turned[:] = 0.0
@@ -134,7 +155,9 @@ def save(sim: Simulation, path: str | Path) -> None:
     handles = list(sim._applied)
     head = {
         "format": FORMAT,
+        "scaled": bool(sim.integrator.scaled),
         "names": sim.model.names,
+        "digests": digests(sim.model),
         "t": state.t.hex(),
         "step": state.step,
         "step_length": float(sim.dt).hex(),
@@ -197,8 +220,8 @@ def read(path: str | Path) -> dict[str, Any]:
         with np.load(path, allow_pickle=False) as file:
             saved: dict[str, Any] = {key: file[key] for key in file.files}
         saved["head"] = json.loads(saved["head"].tobytes().decode())
-    except (OSError, ValueError, KeyError) as error:
-        raise CheckpointError(f"load: {path}: {error}") from error
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error) as error:
+        raise CheckpointError(f"load: {path}: the file is missing or damaged: {error}") from error
     if saved["head"].get("format") != FORMAT:
         raise CheckpointError(f"load: {path}: format {saved['head'].get('format')}, expected {FORMAT}")
     return saved
@@ -213,15 +236,22 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
         If the scene differs or a callable is missing.
     """
     head = saved["head"]
+    if head["scaled"] != sim.integrator.scaled:
+        written = "a Relaxation" if head["scaled"] else "an integrator in real time"
+        raise CheckpointError(
+            f"load: the file was written by {written}, the integrator is {sim.integrator!r}; "
+            "to go on with another integrator use Simulation(scene, integrator, start=path)"
+        )
+    _same_blocks([b.name for b in sim.scene.blocks if b.name not in head["removed"]], head["names"])
     _restore_loads(head, sim)
     sim._removed = frozenset(head["removed"])
     sim._releases = [
         (saved[f"release_gp_{i}"], saved[f"release_f_{i}"], at, over) for i, (at, over) in enumerate(head["releases"])
     ]
     sim._compile()
-    if sim.model.names != head["names"]:
-        other = sorted(set(sim.model.names) ^ set(head["names"]))
-        raise CheckpointError(f"load: the scene has other blocks than the file: {', '.join(other[:5]) or 'in another order'}")
+    for name, have, wanted in zip(head["names"], digests(sim.model), head["digests"], strict=True):
+        if have != wanted:
+            raise CheckpointError(f"load: block {name!r} of the scene has other gridpoints or zones than the file's")
     system, state = sim.system, sim.state
     for name in ARRAYS:
         have, wanted = getattr(state, name), saved[name]
@@ -244,6 +274,21 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
     system.stale, system.current = bool(head["stale"]), False
     if sim.ledger is not None and head["ledger"] is not None:
         sim.ledger.start, sim.ledger.turned = head["ledger"]["start"], head["ledger"]["turned"]
+
+
+def _same_blocks(have: list[str], wanted: list[str]) -> None:
+    if have != wanted:
+        other = sorted(set(have) ^ set(wanted))
+        raise CheckpointError(f"load: the scene has other blocks than the file: {', '.join(other[:5]) or 'in another order'}")
+
+
+def digests(model: Model) -> list[int]:
+    """Checksum of gridpoints and zones of every block."""
+    result = []
+    for row, (start, stop) in enumerate(model.gp_range):
+        zones = model.zones[model.zone_start[row] : model.zone_start[row + 1]] - start
+        result.append(zlib.crc32(zones.astype(np.int64).tobytes(), zlib.crc32(model.X[start:stop].tobytes())))
+    return result
 
 
 def _restore_loads(head: dict[str, Any], sim: Simulation) -> None:

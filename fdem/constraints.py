@@ -113,7 +113,9 @@ class Constraints:
         worst = 0.0
         for approach in self.approaches:
             target = approach.target * _factor(approach.handle, t)
-            left = np.abs(target - (q[approach.coords] - q0[approach.coords])).max(initial=0.0)
+            left = np.abs(target - (q[approach.coords] - q0[approach.coords]))
+            # no closer than the last bits of the coordinates
+            left = np.maximum(left - 4 * np.finfo(float).eps * np.abs(q[approach.coords]), 0.0).max(initial=0.0)
             scale = max(np.abs(target).max(initial=0.0), left)
             worst = max(worst, float(left / scale) if scale > 0 else 0.0)
         return worst

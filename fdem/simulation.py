@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,13 @@ from fdem import checkpoint
 from fdem.compile import Compiled, compile_scene
 from fdem.contact import carry
 from fdem.errors import SceneError
+from fdem.integrate.explicit import Explicit, Relaxation
 from fdem.integrate.system import System
 from fdem.loads import Release
 from fdem.readout import Readout
 from fdem.results.energy import Ledger
 from fdem.results.history import Every, History, quantity
+from fdem.scene.checks import number
 from fdem.scene.scene import Applied, Fix, Gridpoint, Scene, Where
 from fdem.stopping import Watch
 from fdem.views import BlockView, GridpointView, LoadView
@@ -96,7 +99,7 @@ class Simulation(Readout):
     ) -> None:
         if not isinstance(scene, Scene):
             raise SceneError(f"Simulation: scene = {scene!r} is not a Scene")
-        if not callable(getattr(integrator, "step", None)):
+        if isinstance(integrator, type) or not callable(getattr(integrator, "step", None)):
             raise SceneError(f"Simulation: integrator = {integrator!r} is not an integrator")
         if threads is not None and (not isinstance(threads, int) or threads < 1):
             raise SceneError(f"Simulation: threads = {threads!r}, allowed is a whole number >= 1")
@@ -107,10 +110,12 @@ class Simulation(Readout):
         self._applied: dict[Applied, Applied] = {handle: replace(handle) for handle in scene.loads}
         self._removed: frozenset[str] = frozenset()
         self._releases: list[tuple[np.ndarray, np.ndarray, int, int]] = []
-        source = load(start, scene, integrator) if isinstance(start, (str, Path)) else start
+        source = _saved(start, scene, integrator) if isinstance(start, (str, Path)) else start
+        if source is not None and not isinstance(source, Simulation):
+            raise SceneError(f"Simulation: start = {start!r}, allowed is a simulation or the path of a saved one")
         if source is not None:
             self._removed = source._removed
-            self._applied |= {key: replace(value) for key, value in source._applied.items() if key in self._applied}
+            self._applied |= {key: replace(value) for key, value in source._applied.items()}
         self._compile()
         if source is not None:
             checkpoint.transfer(source, self)
@@ -207,8 +212,7 @@ class Simulation(Readout):
 
     def run(self, time: float) -> None:
         """Advance by `time` [s]; the last steps are shortened to end there."""
-        if not np.isfinite(time) or time < 0:
-            raise SceneError(f"run: time = {time!r}, allowed is a finite number >= 0")
+        number("run", "time", time, low=0.0)
         if not np.isfinite(self.dt):
             self.integrator.step_length = time / 1000.0  # nothing limits the step: free flight
         self._steps(2**62, self.state.t + float(time))
@@ -228,6 +232,9 @@ class Simulation(Readout):
         Report
             Why it stopped, with ratio, kinetic energy and the displacement still to come.
         """
+        number("solve", "ratio", ratio, low=0.0, open_low=True)
+        if not isinstance(max_cycles, (int, np.integer)) or max_cycles < 0:
+            raise SceneError(f"solve: max_cycles = {max_cycles!r}, allowed is a whole number >= 0")
         begin, first = clock.perf_counter(), self.state.step
         watch = Watch(self.system, ratio)
         reason = watch.look()
@@ -248,8 +255,7 @@ class Simulation(Readout):
     def apply(self, load: Any, target: Any = None, where: Where | None = None, factor: Any = 1.0) -> Applied:
         """Apply a load from now on (see `Scene.apply`)."""
         handle = self.scene.applied(load, target, where, factor)
-        self._applied[handle] = replace(handle)
-        self._rebuild()
+        self._rebuild(applied=self._applied | {handle: replace(handle)})
         return handle
 
     def excavate(self, target: Any = None, where: Where | None = None, over: int = 0) -> list[str]:
@@ -280,10 +286,8 @@ class Simulation(Readout):
         gone = [b.name for b in chosen if b.name not in self._removed]
         if not gone:
             raise SceneError(f"excavate: target {target!r} selects no block that is still there")
-        if over:
-            self._releases.append(self._tractions_of(gone, int(over)))
-        self._removed |= frozenset(gone)
-        self._rebuild()
+        release = [self._tractions_of(gone, int(over))] if over else []
+        self._rebuild(removed=self._removed | frozenset(gone), release=release)
         return gone
 
     def _tractions_of(self, gone: list[str], over: int) -> tuple[np.ndarray, np.ndarray, int, int]:
@@ -297,20 +301,29 @@ class Simulation(Readout):
         gp = np.flatnonzero(np.any(total != 0.0, axis=1))
         return gp, total[gp], self.state.step, over
 
-    def _rebuild(self) -> None:
+    def _rebuild(
+        self,
+        applied: dict[Applied, Applied] | None = None,
+        removed: frozenset[str] | None = None,
+        release: Sequence[tuple[np.ndarray, np.ndarray, int, int]] = (),
+    ) -> None:
         """Compile again and move the state over: the one mechanism for every change on the way."""
+        applied = self._applied if applied is None else applied
+        removed = self._removed if removed is None else removed
+        # first of all, so that a change that is refused changes nothing
+        compiled = compile_scene(self.scene, removed, list(applied.values()), self._threads)
         before = self.stored() if self.ledger is not None else {}
         self.forces()
         self.system.commit()
         old = checkpoint.Carrier(self)
-        self.compiled = compile_scene(self.scene, self._removed, list(self._applied.values()), self._threads)
-        number = old.gridpoints(self.compiled.model)
-        running = [entry for entry in self._releases if self.state.step - entry[2] < entry[3]]
+        self.compiled, self._applied, self._removed = compiled, applied, removed
+        number = old.gridpoints(compiled.model)
+        running = [entry for entry in (*self._releases, *release) if self.state.step - entry[2] < entry[3]]
         self._releases = []
         for gp, forces, at, over in running:
             left = number[gp] >= 0
             self._releases.append((number[gp][left], forces[left], at, over))
-        self._make_system(self.compiled)
+        self._make_system(compiled)
         self.x0, self.centroids0 = self.state.x.copy(), self.centroids()
         self.turned = np.zeros((self._n_rigid, 3))
         checkpoint.carry(old, self)
@@ -324,9 +337,12 @@ class Simulation(Readout):
             self.x0, self.centroids0 = self.state.x.copy(), self.centroids()
             self.turned[:] = 0.0
         elif what == "velocity":
+            before = self.stored() if self.ledger is not None else {}
             self.state.v[:] = 0.0
             self.system.lag = 0.0
             self.system.current = False
+            if self.ledger is not None:
+                self.ledger.rebase(before, self.stored())
         elif what == "slip":
             if self.system.contacts is not None:
                 carry.reset_slip(self.system.contacts)
@@ -448,6 +464,16 @@ def _fit(dt: float, left: float) -> float:
         return left
     return 0.5 * left if left < 2 * dt else dt
 
+
+
+def _saved(path: str | Path, scene: Scene, integrator: Any) -> Simulation:
+    """The simulation a file holds, whichever kind of integrator wrote it."""
+    saved = checkpoint.read(path)
+    if saved["head"]["scaled"] != integrator.scaled:
+        integrator = Relaxation() if saved["head"]["scaled"] else Explicit()
+    sim = Simulation(scene, integrator, progress=False)
+    checkpoint.restore(saved, sim)
+    return sim
 
 
 def load(path: str | Path, scene: Scene, integrator: Any, **options: Any) -> Simulation:

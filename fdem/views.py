@@ -272,8 +272,10 @@ class LoadView:
 
     @factor.setter
     def factor(self, value: Any) -> None:
-        if not callable(value) and not np.isfinite(value):
-            raise SolveError(f"load {self._handle.load!r}: factor = {value!r} is not finite")
+        if not callable(value):
+            known = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+            if not known or not np.isfinite(value):
+                raise SolveError(f"load {self._handle.load!r}: factor = {value!r} is not a finite number")
         self._handle.factor = value
         self._sim.system.current = False
 

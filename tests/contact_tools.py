@@ -73,7 +73,9 @@ COULOMB = dict(kn=1e9, ks=5e8, tan=0.0, c=0.0, t=0.0, dil=0.0, dil_limit=np.inf,
 def coulomb(**kw):
     d = COULOMB | kw
     d["rtan"] = d["tan"] if d["rtan"] is None else d["rtan"]
-    return LawTable("coulomb", [[d[k] for k in ("kn", "ks", "tan", "c", "t", "dil", "dil_limit", "rtan", "rc", "damping")]])
+    return LawTable(
+        "coulomb", [[d[k] for k in ("kn", "ks", "tan", "c", "t", "dil", "dil_limit", "rtan", "rc", "damping")]]
+    )
 
 
 def bonded(kn=1e9, ks=5e8, tan=0.0, shear=np.inf, tension=np.inf):
@@ -93,18 +95,17 @@ class World:
         blocks, mass = [], np.zeros(len(self.x))
         self.volume, self.centroid = [], []
         for i, (p, f) in enumerate(shapes):
-            v = volume_of(np.asarray(p, float), f)
+            edges = {(a, b) for q in f for a, b in zip(q, [*q[1:], q[0]], strict=True)}
+            v = volume_of(np.asarray(p, float), f) if all((b, a) in edges for a, b in edges) else 0.0
             loops = [np.array(q, np.int32) + start[i] for q in f]
             behind = None
             if not affine[i]:
-                far = [int(np.argmax(np.abs((p - p[q[0]]) @ np.cross(p[q[1]] - p[q[0]], p[q[2]] - p[q[0]])))) for q in f]
+                normals = [np.cross(p[q[1]] - p[q[0]], p[q[2]] - p[q[0]]) for q in f]
+                far = [np.argmax(np.abs((p - p[q[0]]) @ n)) for q, n in zip(f, normals, strict=True)]
                 behind = np.array(far, np.int32) + start[i]
-            blocks.append(
-                BlockSurface(
-                    loops, np.full(len(f), -1), affine[i], (int(start[i]), int(start[i + 1])), bool(self.fixed[i]),
-                    v, density * v, behind,
-                )  # fmt: skip
-            )
+            gp = (int(start[i]), int(start[i + 1]))
+            tags = np.full(len(f), -1)
+            blocks.append(BlockSurface(loops, tags, affine[i], gp, bool(self.fixed[i]), v, density * v, behind))
             mass[start[i] : start[i + 1]] = density * v
             self.volume.append(v)
         options.setdefault("gap_tolerance", 0.0)

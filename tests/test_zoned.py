@@ -378,6 +378,7 @@ def test_inverted_zones_are_named(mesh):
     zone = tets[17] + len(X) // 2
     x[zone[0]] += 1.2 * (x[zone[1:]].mean(axis=0) - x[zone[0]])
     block, local = blocks.first_inverted(x)
+    assert np.array_equal(blocks.nodes_of(block, local), tets[local] + len(X) // 2)
     assert block == 1 and ref.tet_volumes(x[len(X) // 2 :], tets[[local]])[0] <= 0
     x[zone[0]] = np.nan
     assert blocks.first_inverted(x)[0] == 1

@@ -55,8 +55,8 @@ class ZonedBlocks:
         Lumped masses [kg].
     gravity_mass : (n,) array
         Row sums of the mass matrix [kg]: what gravity acts on; `gp_mass` unless inertia-matched.
-    zone_volume : (m,) array
-        [m^3].
+    zone_volume, zone_mass : (m,) arrays
+        [m^3], [kg].
     block_mass : (n_blocks,) array
         Exact masses [kg].
     inertia_ratio : (n_blocks,) array
@@ -95,8 +95,8 @@ class ZonedBlocks:
         self.threads = max(1, int(threads or 1))
         self._pool: ThreadPoolExecutor | None = None
         n = gridpoints.stop - gridpoints.start
-        X = np.asarray(X, dtype=np.float64)
-        self.X = np.ascontiguousarray(X if X.shape[0] == n else X[gridpoints])
+        # a copy: the caller's array may be the positions, and those move
+        self.X = np.array(X if len(X) == n else X[gridpoints], dtype=np.float64, order="C")
         self.zone_start = np.ascontiguousarray(zone_start, dtype=np.int32)
         self._start = np.ascontiguousarray(np.asarray(gp_start) - gridpoints.start, dtype=np.int32)
         self._nodes = np.ascontiguousarray(np.asarray(zones) - gridpoints.start, dtype=np.int32)
@@ -134,7 +134,7 @@ class ZonedBlocks:
                 raise SceneError(f"zoned block {k}: mass={rule!r}; allowed: {', '.join(map(repr, _MASS_RULES))}")
         per_zone = density if density.size == self.zone_volume.size and density.size != self.n_blocks else None
         zone_density = density[self.zone_block] if per_zone is None else per_zone
-        zone_mass = zone_density * self.zone_volume
+        zone_mass = self.zone_mass = zone_density * self.zone_volume
         n = self.X.shape[0]
         chosen = np.array(rules)
         self.gp_mass = row_sum_masses(self._nodes, zone_mass, n)
@@ -284,6 +284,10 @@ class ZonedBlocks:
             return None
         block = int(self.zone_block[zone])
         return block, zone - int(self.zone_start[block])
+
+    def nodes_of(self, block: int, zone: int) -> Array:
+        """Global gridpoints (4,) of a zone, counted within its block."""
+        return self._nodes[self.zone_start[block] + zone] + self.gridpoints.start
 
     def deformation(self, x: Array) -> Array:
         """Deformation gradients of the zones (m, 3, 3)."""

@@ -73,6 +73,7 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
         if callable(getattr(block.material, "density", None)):
             raise UnsupportedError(f"block {block.name!r}: a density that varies in space is not there yet")
     kind = _kinds(scene, blocks, loads)
+    _refuse_twins(blocks, kind)
     bounds = np.array([block.shape.bounds for block in everything])
     origin = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0))
     meshes = _zone_meshes(scene, blocks, kind)
@@ -103,6 +104,15 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
     return Layout(
         scene, blocks, index, kind, meshes, origin, gp_range, points, loops, loop_tags, triangles, triangle_tags, loads
     )
+
+
+def _refuse_twins(blocks: list[Block], kind: list[str]) -> None:
+    """Refuse a shape added twice: its faces look the same way, so contact would not see the overlap."""
+    seen: dict[tuple[float, ...], int] = {}
+    for i, block in enumerate(blocks):
+        first = seen.setdefault((block.shape.volume, *np.asarray(block.shape.bounds).ravel().tolist()), i)
+        if first != i and not kind[first] == kind[i] == "static":
+            raise SceneError(f"blocks {blocks[first].name!r} and {block.name!r} overlap: they fill the same place")
 
 
 def _kinds(scene: Scene, blocks: list[Block], loads: list[Applied]) -> list[str]:

@@ -36,6 +36,7 @@ class JointTables:
         self.rows: list[list[tuple[float, ...]]] = []
         self.location: list[tuple[int, int]] = []
         self.laws: list[Joint] = []
+        self._pairs: dict[int, int] = {}
         for rule in self.rules:
             kernel = rule.law.kernel
             if kernel not in self.kernels:
@@ -84,21 +85,40 @@ class JointTables:
             If a contact has no law; names the two blocks.
         """
         chosen = np.full(len(block_a), -1, dtype=np.int32)
+        loose = chosen.copy()
         for rule_id, (tag, first, second) in self._tests:
             rule = self.rules[rule_id]
             if tag is not None:
                 mask = (tag_a == tag) & (tag_b == tag)
+                loose[(tag_a == tag) | (tag_b == tag)] = rule_id
             else:
                 mask = (first[block_a] & second[block_b]) | (first[block_b] & second[block_a])
             if rule.where is not None and mask.any():
                 mask[mask] = choose("joint", rule.where, points[mask] + self.model.origin)
             chosen[mask] = rule_id
-        if (chosen < 0).any():
-            worst = int(np.argmin(chosen))
-            a, b = (self.model.names[i] for i in sorted((block_a[worst], block_b[worst])))
-            raise JointError(f"blocks {a!r} and {b!r} can touch, but no joint law covers them; add scene.joint(law)")
+        self._complete(chosen, loose, block_a, block_b)
         location = np.array(self.location, dtype=np.int32).reshape(-1, 2)
         return location[chosen, 0], location[chosen, 1], chosen
+
+    def _complete(self, chosen: np.ndarray, loose: np.ndarray, block_a: np.ndarray, block_b: np.ndarray) -> None:
+        """Give contacts that no rule names the law of their pair.
+
+        Beside the faces of a joint, its two blocks meet with the faces around it: those belong to the
+        joint one of the two was made by, or to what else joins the pair.
+        """
+        chosen[:] = np.where(chosen < 0, loose, chosen)
+        n = self.model.n_blocks
+        pair = np.minimum(block_a, block_b).astype(np.int64) * n + np.maximum(block_a, block_b)
+        known = dict(self._pairs)
+        for key, rule_id in zip(pair[chosen >= 0].tolist(), chosen[chosen >= 0].tolist(), strict=True):
+            known.setdefault(key, rule_id)
+        if not self._pairs:
+            self._pairs = known  # of compile alone, so that a restart decides alike
+        for row in np.flatnonzero(chosen < 0):
+            if int(pair[row]) not in known:
+                a, b = (self.model.names[i] for i in sorted((block_a[row], block_b[row])))
+                raise JointError(f"blocks {a!r} and {b!r} can touch, but no joint law covers them; add scene.joint(law)")
+            chosen[row] = known[int(pair[row])]
 
     def _stiffness(self, rule: JointRule) -> tuple[float, float]:
         """Stiffness of a rule; what the user left out is chosen as CONTACT.md 3.12 proposes."""

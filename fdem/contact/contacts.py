@@ -157,6 +157,10 @@ class Contacts:
         fit = (cut.align > PARALLEL) & (shallow <= tolerance)
         if self.gap_tolerance is None or self.gap_tolerance > 0.0:
             p.offset[fit] = cut.plane_depth[fit]
+            strip = (
+                ~fit & (cut.depth > 0.0) & (cut.depth <= tolerance)
+            )  # beside a face that was closed: not to push either
+            p.offset[strip] = cut.depth[strip, None]
             bad = np.flatnonzero((cut.depth > tolerance) & ~fit & ((p.flags & kernels.FACING) > 0))
             if len(bad):
                 worst = bad[np.argmax(cut.depth[bad])]
@@ -205,7 +209,11 @@ class Contacts:
         fresh = np.flatnonzero(inherit_laws(old, p, s.n_faces))
         if len(fresh):
             answer = self.assign(
-                self.slave[p.pair[fresh]], self.master[p.pair[fresh]], p.face_s[fresh], p.face_m[fresh], cut.centre[fresh]
+                self.slave[p.pair[fresh]],
+                self.master[p.pair[fresh]],
+                p.face_s[fresh],
+                p.face_m[fresh],
+                cut.centre[fresh],
             )
             p.law[fresh], p.prop[fresh] = answer[0], answer[1]
             p.joint[fresh] = answer[2] if len(answer) > 2 else answer[1]
@@ -268,7 +276,7 @@ class Contacts:
         old_key = old_pairs[:, 0].astype(np.int64) * n + old_pairs[:, 1]
         key = self.pairs[:, 0].astype(np.int64) * n + self.pairs[:, 1]
         new_index = np.full(len(old_key), -1, np.int32)
-        common, at_old, at_new = np.intersect1d(old_key, key, assume_unique=True, return_indices=True)
+        _, at_old, at_new = np.intersect1d(old_key, key, assume_unique=True, return_indices=True)
         new_index[at_old] = at_new
         due = refreshed[self.pairs[:, 0]] | refreshed[self.pairs[:, 1]]
         known = np.zeros(len(key), bool)
@@ -317,8 +325,12 @@ class Contacts:
         self._trial = False
         self._law_start = np.searchsorted(p.law, np.arange(len(self.laws) + 1)).tolist()
         self._thick = s.has_behind[p.face_m]
-        self._inverse = np.column_stack([self._inverse_block[self.slave[p.pair]], self._inverse_block[self.master[p.pair]]])
-        self._damped = any(law.damped and self._law_start[k + 1] > self._law_start[k] for k, law in enumerate(self.laws))
+        self._inverse = np.column_stack(
+            [self._inverse_block[self.slave[p.pair]], self._inverse_block[self.master[p.pair]]]
+        )
+        self._damped = any(
+            law.damped and self._law_start[k + 1] > self._law_start[k] for k, law in enumerate(self.laws)
+        )
         self._kn, self._ks = np.zeros(n), np.zeros(n)
         for k, law in enumerate(self.laws):
             mine = slice(self._law_start[k], self._law_start[k + 1])

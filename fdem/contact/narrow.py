@@ -197,7 +197,9 @@ def cut_pairs(
     p = p.take(ids)
     thick = s.has_behind[p.face_m]
     kernels.weights_at(p.gp, thick, p.ref_points, x, p.w_clip)
-    return Cut(p, ghosts, which[too_deep == 1], area[ids], closed[ids], align[ids], depth[ids], plane_depth[ids], centre[ids])
+    return Cut(
+        p, ghosts, which[too_deep == 1], area[ids], closed[ids], align[ids], depth[ids], plane_depth[ids], centre[ids]
+    )
 
 
 def _ghosts(

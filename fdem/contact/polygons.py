@@ -121,7 +121,11 @@ def _regions(pieces: list[tuple[Loop, int, int]], normals: Array, x: Any) -> lis
             i = root[i]
         return i
 
-    owner = {(int(a), int(b)): k for k, (loop, _, _) in enumerate(pieces) for a, b in zip(loop, np.roll(loop, -1), strict=True)}
+    owner = {
+        (int(a), int(b)): k
+        for k, (loop, _, _) in enumerate(pieces)
+        for a, b in zip(loop, np.roll(loop, -1), strict=True)
+    }
     for (a, b), k in owner.items():
         g = owner.get((b, a), -1)
         if g > k and pieces[g][1] == pieces[k][1] and normals[g] @ normals[k] > 0.0:
@@ -140,7 +144,9 @@ def _regions(pieces: list[tuple[Loop, int, int]], normals: Array, x: Any) -> lis
     return out
 
 
-def _merge(region: list[int], pieces: list[tuple[Loop, int, int]], normals: Array, x: Any) -> list[tuple[Loop, int, int]]:
+def _merge(
+    region: list[int], pieces: list[tuple[Loop, int, int]], normals: Array, x: Any
+) -> list[tuple[Loop, int, int]]:
     """One convex face if the region is one, else a convex partition."""
     tag, source = pieces[region[0]][1], pieces[region[0]][2]
     n = normals[region[0]]
@@ -175,7 +181,9 @@ def _join(parts: list[Loop], n: Array, x: Any) -> list[Loop]:
     merged = True
     while merged:
         merged = False
-        owner = {(int(a), int(b)): k for k, loop in enumerate(parts) for a, b in zip(loop, np.roll(loop, -1), strict=True)}
+        owner = {
+            (int(a), int(b)): k for k, loop in enumerate(parts) for a, b in zip(loop, np.roll(loop, -1), strict=True)
+        }
         for (a, b), k in owner.items():
             g = owner.get((b, a), -1)
             if g <= k:

@@ -154,9 +154,13 @@ class Surfaces:
             face_block=np.repeat(np.arange(len(blocks)), counts).astype(np.int32),
             tag=cat([p.tag for p in parts]),
             source=cat([p.source for p in parts]),
-            corner_start=cat([p.corner_start[:-1] + o for p, o in zip(parts, first_corner, strict=False)] + [first_corner[-1:]]),
+            corner_start=cat(
+                [p.corner_start[:-1] + o for p, o in zip(parts, first_corner, strict=False)] + [first_corner[-1:]]
+            ),
             corner_w=cat([p.corner_w for p in parts], float),
-            neighbour=cat([np.where(p.neighbour < 0, -1, p.neighbour + o) for p, o in zip(parts, first_face, strict=False)]),
+            neighbour=cat(
+                [np.where(p.neighbour < 0, -1, p.neighbour + o) for p, o in zip(parts, first_face, strict=False)]
+            ),
             ref=cat([p.ref for p in parts]),
             has_behind=cat([p.has_behind for p in parts], np.uint8),
             limit=np.zeros(first_face[-1]),
@@ -178,15 +182,39 @@ class Surfaces:
         """Convexity of blocks and depth limits of faces, in the positions `x`."""
         geo = FaceGeometry.of(self)
         geo.refresh(self, x, np.arange(self.n_blocks, dtype=np.int32))
-        kernels.convex_blocks(self.face_start, self.corner_start, self.neighbour, geo.normal, geo.corner_x, self.affine, self.open, self.convex)
+        kernels.convex_blocks(
+            self.face_start,
+            self.corner_start,
+            self.neighbour,
+            geo.normal,
+            geo.corner_x,
+            self.affine,
+            self.open,
+            self.convex,
+        )
         kernels.thickness(
-            self.face_start, self.corner_start, geo.corner_x, geo.normal, self.convex, self.open, geo.lower, geo.upper, self.limit
+            self.face_start,
+            self.corner_start,
+            geo.corner_x,
+            geo.normal,
+            self.convex,
+            self.open,
+            geo.lower,
+            geo.upper,
+            self.limit,
         )
         owner = np.repeat(np.arange(self.n_faces), np.diff(self.corner_start))
         flat = (self.neighbour >= 0) & (np.einsum("ij,ij->i", geo.normal[owner], geo.normal[self.neighbour]) > 0.9999)
         for _ in range(4):  # a triangle beside an acute edge shares the thickness of its plane
             np.maximum.at(self.limit, owner[flat], self.limit[self.neighbour[flat]])
         self.limit *= DEPTH_FRACTION
+        # behind small facets of a surface that is not convex the nearest face is known only near the surface
+        follow = np.arange(len(owner)) + 1
+        follow[self.corner_start[1:] - 1] = self.corner_start[:-1]
+        edge = np.linalg.norm(geo.corner_x[follow] - geo.corner_x, axis=1)
+        shortest = np.minimum.reduceat(edge, self.corner_start[:-1])
+        facet = (self.convex[self.face_block] == 0) & (self.open[self.face_block] == 0)
+        self.limit[facet] = np.minimum(self.limit, DEPTH_FRACTION * shortest)[facet]
 
 
 @dataclass
@@ -333,7 +361,9 @@ def _true_corners(p: Array, near: Any, normals: Array) -> Any:
     after /= np.linalg.norm(after, axis=1)[:, None]
     straight = np.linalg.norm(np.cross(before, after), axis=1) < 1e-9
     last = np.roll(near, 1)
-    same = (last == near) | ((near >= 0) & (last >= 0) & (np.einsum("ij,ij->i", normals[last], normals[near]) > 1.0 - 1e-12))
+    same = (last == near) | (
+        (near >= 0) & (last >= 0) & (np.einsum("ij,ij->i", normals[last], normals[near]) > 1.0 - 1e-12)
+    )
     return ~(straight & same)
 
 

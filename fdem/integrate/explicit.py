@@ -14,8 +14,9 @@ __all__ = ["Explicit", "Local", "Rayleigh", "Relaxation"]
 
 
 def _check(owner: str, name: str, value: Any, low: float, high: float = np.inf) -> None:
-    if not isinstance(value, (int, float)) or not low <= value <= high or not np.isfinite(value):
-        raise SceneError(f"{owner}: {name} = {value!r}, allowed is a number in [{low:g}, {high:g}]")
+    known = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+    if not known or not low <= value <= high or not np.isfinite(value):
+        raise SceneError(f"{owner}: {name} = {value!r}, allowed is a finite number in [{low:g}, {high:g}]")
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,11 @@ class Local:
         resist = self.coefficient * np.abs(free) * np.sign(before)
         a = system.accelerate(f - resist)
         system.damped += h * float(resist @ (v + 0.5 * h * a))
-        v += h * a
+        # fictitious masses and time know no drag, and it is gone at rest
+        if system.alpha is None or system.scaled[0] is not None:
+            v += h * a
+        else:
+            _centred(system, h, a, system.alpha, None)
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,7 @@ class Rayleigh:
         """Keep the elastic forces, whose rate is the stiffness-proportional part."""
         if self.stiffness > 0 and system.elastic is None:
             system.elastic = np.zeros_like(system.state.f)
+        system.rate = self.mass if system.alpha is None else self.mass + system.alpha
 
     def kick(self, system: Any, h: float) -> None:
         """Change the velocities by the accelerations over `h` [s], mass damping centred."""
@@ -87,7 +93,7 @@ class Rayleigh:
             elif system.dt > 0:
                 viscous = self.stiffness / system.dt * (system.elastic - system.elastic_old)
         a = system.accelerate(f + viscous)
-        _centred(system, h, a, self.mass if system.alpha is None else self.mass + system.alpha, viscous)
+        _centred(system, h, a, system.rate, viscous)
 
 
 @dataclass(frozen=True)
@@ -150,10 +156,12 @@ class Explicit:
     scaled: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):
-            raise SceneError(f"Explicit: dt = {self.dt!r}, allowed is a positive number or None")
-        if not 0 < self.safety <= 1:
-            raise SceneError(f"Explicit: safety = {self.safety!r}, allowed is a number in (0, 1]")
+        owner = type(self).__name__
+        if self.dt is not None:
+            _check(owner, "dt", self.dt, np.finfo(float).tiny)
+        _check(owner, "safety", self.safety, np.finfo(float).tiny, 1.0)
+        if self.damping is not None and not isinstance(self.damping, (Local, Rayleigh)):
+            raise SceneError(f"{owner}: damping = {self.damping!r}, allowed are Local and Rayleigh")
         self._damping: Any = self.damping or _Undamped()
 
     def start(self, system: Any) -> None:

@@ -47,6 +47,7 @@ class System:
     ) -> None:
         self.model, self.state, self.contacts = model, state, contacts
         self.constraints, self.loads, self.alpha = constraints, loads, alpha
+        self.rate: Any = alpha  # all mass-proportional damping, that of the integrator included [1/s]
         self.lag = 0.0  # time by which v is behind q: 0 before the first step, then half a step [s]
         self.dt = 0.0  # the last step [s]
         self.work = 0.0
@@ -177,7 +178,11 @@ class System:
             return self.state.v.copy()
         self.forces()
         self.accelerate(self.state.f)
-        v = self.state.v + self.lag * self.a
+        if self.rate is None:
+            v = self.state.v + self.lag * self.a
+        else:
+            half = 0.5 * self.lag * self.rate
+            v = ((1.0 - half) * self.state.v + self.lag * self.a) / (1.0 + half)
         if self._held is not None:
             v[self._held] = self.state.v[self._held]
         return v

@@ -1,12 +1,12 @@
 """Kernels of contact geometry: faces, boxes, pairs, and the clip that makes contact patches (CONTACT.md 3.1-3.3).
 
-A polygon on a slave face lives in the face's reference triangle: a corner is (w1, w2), the weights of the second and
-third reference gridpoint. A linear function in space is, on the face, given by its three values there; clipping a
-polygon by a plane needs nothing else. The same numbers hold in every affinely deformed position.
+A polygon on a slave face lives in the face's reference triangle: a corner is (w1, w2), the weights of the second
+and third reference gridpoint. A linear function in space is, on the face, given by its three values there; clipping
+a polygon by a plane needs nothing else. The same numbers hold in every affinely deformed position.
 
 The depth field of a master is ``d(x) = min over its faces g with x in R_g of n_g . (c_g - x)``. For convex masters
-``R_g`` is everything, so cells are bounded by the bisectors with all other faces. For other masters ``R_g`` is bounded by
-the bisector at re-entrant and smooth edges, and at a sharp convex edge by the *union* of bisector and the plane through
+``R_g`` is everything, so cells are bounded by the bisectors with all other faces. For other masters ``R_g`` is bounded
+by the bisector at re-entrant and smooth edges, and at a sharp convex edge by the *union* of bisector and the plane through
 the edge normal to the face, so that a face does not compete beyond its border.
 """
 
@@ -27,7 +27,7 @@ def face_geometry(
     blocks, face_start, corner_start, corner_w, ref, neighbour, sharp, is_open, x,
     corner_x, normal, wall, kind, lower, upper, block_lower, block_upper,
 ):  # fmt: skip
-    """Corners (m), normals, walls (unit, towards the inside of the cell), edge kinds and boxes of the faces of `blocks`."""
+    """Corners [m], normals, walls (unit, into the cell), edge kinds and boxes of the faces of `blocks`."""
     for b in blocks:
         for d in range(3):
             block_lower[b, d] = np.inf
@@ -151,7 +151,11 @@ def thickness(face_start, corner_start, corner_x, normal, convex, is_open, lower
                 inside = True
                 for c in range(a, z):
                     k = c + 1 if c + 1 < z else a
-                    ex, ey, ez = corner_x[k, 0] - corner_x[c, 0], corner_x[k, 1] - corner_x[c, 1], corner_x[k, 2] - corner_x[c, 2]
+                    ex, ey, ez = (
+                        corner_x[k, 0] - corner_x[c, 0],
+                        corner_x[k, 1] - corner_x[c, 1],
+                        corner_x[k, 2] - corner_x[c, 2],
+                    )
                     dx, dy, dz = yx - corner_x[c, 0], yy - corner_x[c, 1], yz - corner_x[c, 2]
                     turn = (
                         normal[g, 0] * (ey * dz - ez * dy)
@@ -284,7 +288,7 @@ def _plane_values(n, c, xs, out):
 
 @kernel
 def _own_cell(f, b, xs, df, poly, count, snap, convex, corner_start, corner_x, normal, wall, kind, bufs, work, tmp):
-    """Split `poly[:count]` into the pieces inside R_f; returns number of pieces, their counts in `work`, margin, miss.
+    """Split `poly[:count]` into the pieces inside R_f; returns their number, margin and miss; counts go to `work`.
 
     Margin: distance to the nearest wall that did not cut; miss: how far outside an emptied polygon lies.
     """
@@ -388,7 +392,11 @@ def _rival(
                         continue
                     if kind[c] == SHARP and not outside:
                         k = c + 1 if c + 1 < last else first
-                        ex, ey, ez = corner_x[k, 0] - corner_x[c, 0], corner_x[k, 1] - corner_x[c, 1], corner_x[k, 2] - corner_x[c, 2]
+                        ex, ey, ez = (
+                            corner_x[k, 0] - corner_x[c, 0],
+                            corner_x[k, 1] - corner_x[c, 1],
+                            corner_x[k, 2] - corner_x[c, 2],
+                        )
                         length = math.sqrt(ex * ex + ey * ey + ez * ez)
                         side[0] = (normal[g, 1] * ez - normal[g, 2] * ey) / length
                         side[1] = (normal[g, 2] * ex - normal[g, 0] * ez) / length
@@ -397,7 +405,7 @@ def _rival(
                     else:
                         _plane_values(wall[c], corner_x[c], xs, v)
                 if step == 1:
-                    low, high = _extremes(part, n, v[0], v[1], v[2])
+                    low, _ = _extremes(part, n, v[0], v[1], v[2])
                     if low >= -snap:
                         continue
                     target = q if not made else n_pieces
@@ -486,7 +494,9 @@ def clip_pairs(
         near_m = np.empty(face_start[m + 1] - face_start[m], np.int32)
         k_m = 0
         for f in range(face_start[m], face_start[m + 1]):
-            far = 2.0 * (h + min(limit[f], size[p]))  # a slave that is all inside is still in the cells of faces around it
+            far = 2.0 * (
+                h + min(limit[f], size[p])
+            )  # a slave that is all inside is still in the cells of faces around it
             apart = False
             for d in range(3):
                 if lower[f, d] > block_upper[s, d] + far or upper[f, d] < block_lower[s, d] - far:

@@ -1,6 +1,6 @@
 """Joint laws: one sweep per law over contact rows, all with the same signature.
 
-A user's law is a kernel with this signature, in the user's own file (`from fdem import kernel`):
+A user's law is a kernel with this signature, in the user's own file:
 
     law(lo, hi, dt, gap, push, slip, normal, align, area, mass, prop, props, memory_old, memory, traction, work, state)
 

@@ -105,7 +105,11 @@ def measure(gp, start, corners, offset, x, area, closed, align, depth, plane_dep
                 frame[3] * (x[m, 0] - x[s, 0]) + frame[4] * (x[m, 1] - x[s, 1]) + frame[5] * (x[m, 2] - x[s, 2])
             )
         align[i] = -(frame[0] * frame[3] + frame[1] * frame[4] + frame[2] * frame[5])
-        d0, d1, d2 = plane_depth[i, 0] - offset[i, 0], plane_depth[i, 1] - offset[i, 1], plane_depth[i, 2] - offset[i, 2]
+        d0, d1, d2 = (
+            plane_depth[i, 0] - offset[i, 0],
+            plane_depth[i, 1] - offset[i, 1],
+            plane_depth[i, 2] - offset[i, 2],
+        )
         top = -np.inf
         n = start[i + 1] - start[i]
         for k in range(n):
@@ -217,6 +221,21 @@ def _blend(points, memory, row, w1, w2, out):
 
 
 @kernel
+def _frame(a, b, c, x, out):
+    """Orthonormal frame of the triangle a, b, c: first edge, normal, their product."""
+    ex, ey, ez = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+    hx, hy, hz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+    nx, ny, nz = ey * hz - ez * hy, ez * hx - ex * hz, ex * hy - ey * hx
+    s = 1.0 / math.sqrt(ex * ex + ey * ey + ez * ez)
+    t = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
+    ex, ey, ez = ex * s, ey * s, ez * s
+    nx, ny, nz = nx * t, ny * t, nz * t
+    out[0], out[1], out[2] = ex, ey, ez
+    out[3], out[4], out[5] = nx, ny, nz
+    out[6], out[7], out[8] = ey * nz - ez * ny, ez * nx - ex * nz, ex * ny - ey * nx
+
+
+@kernel
 def project(
     gp, start, corners, offset, flags, pair, limit, thick, ref_points, ref_ratio, inverse_mass, inverse_gp, damped, x, x_old,
     points_old, active_old, memory_old, points, active, memory, w, gap, area, align, normal, push, slip, mass,
@@ -251,6 +270,7 @@ def project(
         longest = max(longest, start[i + 1] - start[i])
     poly, tet = np.empty((2 * longest + 2, 2)), np.empty(12)
     pts, du = np.empty((3, 2)), np.empty((7, 3))
+    old, new = np.empty(9), np.empty(9)
     fx, fy, fz = 0.0, 0.0, 0.0
     for i in range(len(pair_area)):
         pair_area[i] = 0.0
@@ -260,7 +280,13 @@ def project(
     for i in range(n_patches):
         a, b, c = gp[i, 0], gp[i, 1], gp[i, 2]
         p = gp[i, 3]
-        same = last >= 0 and gp[last, 3] == p and gp[last, 4] == gp[i, 4] and gp[last, 5] == gp[i, 5] and gp[last, 6] == gp[i, 6]
+        same = (
+            last >= 0
+            and gp[last, 3] == p
+            and gp[last, 4] == gp[i, 4]
+            and gp[last, 5] == gp[i, 5]
+            and gp[last, 6] == gp[i, 6]
+        )
         if not same:
             q, r = gp[i, 4], gp[i, 5]
             ux, uy, uz = x[q, 0] - x[p, 0], x[q, 1] - x[p, 1], x[q, 2] - x[p, 2]
@@ -317,19 +343,10 @@ def project(
         for k in range(7):
             g = gp[i, k]
             du[k, 0], du[k, 1], du[k, 2] = x[g, 0] - x_old[g, 0], x[g, 1] - x_old[g, 1], x[g, 2] - x_old[g, 2]
-        # rotation of the slave face since x_old, as a small rotation vector about n_a and across it
-        tx, ty, tz = 0.0, 0.0, 0.0
-        turned = friction and active_old[i]
-        if turned:
-            gx, gy, gz = x_old[b, 0] - x_old[a, 0], x_old[b, 1] - x_old[a, 1], x_old[b, 2] - x_old[a, 2]
-            hx, hy, hz = x_old[c, 0] - x_old[a, 0], x_old[c, 1] - x_old[a, 1], x_old[c, 2] - x_old[a, 2]
-            mx, my, mz = gy * hz - gz * hy, gz * hx - gx * hz, gx * hy - gy * hx
-            tx, ty, tz = my * nz - mz * ny, mz * nx - mx * nz, mx * ny - my * nx
-            s = 1.0 / double
-            spin = (nx * (gy * e1z - gz * e1y) + ny * (gz * e1x - gx * e1z) + nz * (gx * e1y - gy * e1x)) / (
-                gx * gx + gy * gy + gz * gz
-            )
-            tx, ty, tz = tx * s + spin * nx, ty * s + spin * ny, tz * s + spin * nz
+        turned = friction and active_old[i] == 1
+        if turned:  # frames of the slave face before and now: first edge, normal, their product
+            _frame(a, b, c, x_old, old)
+            _frame(a, b, c, x, new)
         for q in range(3):
             row = 3 * i + q
             if shut:
@@ -346,9 +363,11 @@ def project(
                     _blend(points_old[i], memory_old, 3 * i, w1, w2, memory[row])
                 s0, s1, s2 = memory[row, 0], memory[row, 1], memory[row, 2]
                 if s0 != 0.0 or s1 != 0.0 or s2 != 0.0:
-                    r0, r1, r2 = s0 + ty * s2 - tz * s1, s1 + tz * s0 - tx * s2, s2 + tx * s1 - ty * s0
-                    scale = math.sqrt((s0 * s0 + s1 * s1 + s2 * s2) / (r0 * r0 + r1 * r1 + r2 * r2))
-                    memory[row, 0], memory[row, 1], memory[row, 2] = scale * r0, scale * r1, scale * r2
+                    c0 = s0 * old[0] + s1 * old[1] + s2 * old[2]
+                    c1 = s0 * old[3] + s1 * old[4] + s2 * old[5]
+                    c2 = s0 * old[6] + s1 * old[7] + s2 * old[8]
+                    for d in range(3):
+                        memory[row, d] = c0 * new[d] + c1 * new[3 + d] + c2 * new[6 + d]
             else:
                 for k in range(memory.shape[1]):
                     memory[row, k] = 0.0
@@ -414,7 +433,7 @@ def _reduced_mass(gp, active, pair, pair_area, inverse_mass, inverse_gp, area, w
 
 @kernel
 def scatter(gp, active, w, area, push, traction, f_gp):
-    """Add the forces of all rows to the gridpoints, serially in row order: -p a n_a + t a on the slave, opposite on the master."""
+    """Add -p a n_a + t a on the slave and the opposite on the master to the gridpoints, serially in row order."""
     for i in range(len(gp)):
         if active[i] == 0:
             continue

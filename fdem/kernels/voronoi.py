@@ -206,7 +206,7 @@ def voronoi_masses(X, nodes, density, n_cells, lower, width, mass):
     scratch, side = np.empty((5, _MAX_VERTICES), dtype=np.int64), np.empty(_MAX_VERTICES)
     count = np.empty(2, dtype=np.int64)
     vertices, owner_square = np.empty((4 * _MAX_VERTICES, 3)), np.empty(4 * _MAX_VERTICES)
-    owners, volumes = np.empty(X.shape[0] + 4, dtype=np.int64), np.empty(4)
+    owners, volumes = np.empty(X.shape[0] + 4, dtype=np.int64), np.empty(X.shape[0] + 4)
     local = np.empty((X.shape[0] + 4, 3))
     for e in range(nodes.shape[0]):
         origin = X[nodes[e, 0]]
@@ -215,53 +215,49 @@ def voronoi_masses(X, nodes, density, n_cells, lower, width, mass):
                 corners[a, d] = X[nodes[e, a], d] - origin[d]
                 local[a, d] = corners[a, d]
             owners[a] = nodes[e, a]
-        # parts of the four nodes among themselves, and the vertices of those parts
-        n_vertices = 0
-        reach = 0.0
-        for a in range(4):
-            count[0] = count[1] = 4
-            _start_tetrahedron(corners, points, loops, length)
-            for b in range(4):
-                if b != a and not _bisect(points, loops, length, count, local[a], local[b], side, scratch):
-                    return e
-            volumes[a] = _volume(points, loops, length, count)
-            for i in range(count[0]):
-                square = 0.0
-                for d in range(3):
-                    vertices[n_vertices, d] = points[i, d]
-                    square += (points[i, d] - local[a, d]) ** 2
-                owner_square[n_vertices] = square * (1.0 - 1e-12)
-                reach = max(reach, square)
-                n_vertices += 1
-        n_owners = _find_owners(
-            X,
-            nodes[e],
-            origin,
-            corners,
-            np.sqrt(reach),
-            vertices,
-            owner_square,
-            n_vertices,
-            n_cells,
-            lower,
-            width,
-            cell_start,
-            cell_points,
-            owners,
-            local,
-        )
-        if n_owners == 4:
-            for a in range(4):
-                mass[owners[a]] += density[e] * volumes[a]
-            continue
-        for a in range(n_owners):
-            count[0] = count[1] = 4
-            _start_tetrahedron(corners, points, loops, length)
-            for b in range(n_owners):
-                if b != a and count[1] > 0:
-                    if not _bisect(points, loops, length, count, local[a], local[b], side, scratch):
+        n_owners = 4
+        # first the parts of the four nodes among themselves; then of everybody who is closer at one of their vertices
+        for attempt in range(2):
+            n_vertices = 0
+            reach = 0.0
+            for a in range(n_owners):
+                count[0] = count[1] = 4
+                _start_tetrahedron(corners, points, loops, length)
+                for b in range(n_owners):
+                    if b != a and not _bisect(points, loops, length, count, local[a], local[b], side, scratch):
                         return e
-            mass[owners[a]] += density[e] * _volume(points, loops, length, count)
+                volumes[a] = _volume(points, loops, length, count)
+                for i in range(count[0] if attempt == 0 else 0):
+                    square = 0.0
+                    for d in range(3):
+                        vertices[n_vertices, d] = points[i, d]
+                        square += (points[i, d] - local[a, d]) ** 2
+                    owner_square[n_vertices] = square * (1.0 - 1e-12)
+                    reach = max(reach, square)
+                    n_vertices += 1
+            if attempt == 1:
+                break
+            n_owners = _find_owners(
+                X,
+                nodes[e],
+                origin,
+                corners,
+                np.sqrt(reach),
+                vertices,
+                owner_square,
+                n_vertices,
+                n_cells,
+                lower,
+                width,
+                cell_start,
+                cell_points,
+                owners,
+                local,
+            )
+            if n_owners == 4:
+                break
+        for a in range(n_owners):
+            mass[owners[a]] += density[e] * volumes[a]
     return -1
 
 

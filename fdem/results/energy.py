@@ -46,7 +46,8 @@ class Ledger:
     Attributes
     ----------
     start : dict
-        Stored energies at the start [J]; None before the first entry.
+        Entries at the start [J]; None before the first. What was spent before (in the state of another
+        simulation, or by a joint law that holds less than the state carries) is no part of this balance.
     turned : float
         Largest sum of the balance's entries seen [J].
     """
@@ -58,7 +59,8 @@ class Ledger:
     def entry(self, now: dict[str, float]) -> Energy:
         """Balance for the present energies `now` [J] (keys: all entries of `Energy` but the last two)."""
         if self.start is None:
-            self.start = {name: now[name] for name in STORED}
+            self.start = dict(now)
+        now = {**now, **{name: now[name] - self.start[name] for name in (*SPENT, "work")}}
         change = {name: now[name] - self.start[name] for name in STORED}
         error = sum(change.values()) + sum(now[name] for name in SPENT) - now["work"]
         turned = sum(abs(v) for v in change.values()) + sum(abs(now[name]) for name in (*SPENT, "work"))
@@ -71,4 +73,4 @@ class Ledger:
     def rebase(self, before: dict[str, float], after: dict[str, float]) -> None:
         """Move the baseline by what stored energies changed when blocks were removed."""
         if self.start is not None:
-            self.start = {name: self.start[name] + after[name] - before[name] for name in STORED}
+            self.start |= {name: self.start[name] + after[name] - before[name] for name in STORED}

@@ -366,7 +366,10 @@ class Scene:
         """
         if not isinstance(law, Joint):
             raise SceneError(f"joint: law = {law!r} is not a joint law")
-        rule = JointRule(law, target, between, where)
+        if between is not None and (not isinstance(between, (tuple, list)) or len(between) != 2):
+            raise SceneError(f"joint: between = {between!r}, allowed is a pair of selectors")
+        check_where("joint", where)
+        rule = JointRule(law, target, None if between is None else (between[0], between[1]), where)
         for selector in [target] if between is None else list(between):
             if selector is not None and not (isinstance(selector, str) and self.is_joint_set(selector)):
                 self.select_blocks(selector)
@@ -401,6 +404,7 @@ class Scene:
                 raise SceneError(f"fix: component = {entry!r}, allowed are {', '.join(COMPONENTS)}")
         if not isinstance(target, Gridpoint):
             self.select(target)
+        check_where("fix", where)
         fix = Fix(target, components, where)
         self.fixes.append(fix)
         return fix
@@ -442,6 +446,7 @@ class Scene:
             raise SceneError(f"apply: load = {load!r} is neither a load of fdem nor has it force(t, x, v)")
         if not callable(factor):
             number("apply", "factor", factor)
+        check_where("apply", where)
         if not isinstance(target, Gridpoint):
             self.select(target)
         return Applied(load, target, where, factor)
@@ -497,6 +502,7 @@ class Scene:
         return list(dict.fromkeys(block for block, _ in self.select(target)))
 
     def _where(self, what: str, blocks: list[Block], where: Where | None) -> list[Block]:
+        check_where(what, where)
         if where is None:
             return blocks
         mask = choose(what, where, np.array([block.shape.centroid for block in blocks]))
@@ -556,6 +562,18 @@ def _by_group(what: str, value: Any, group: str | None) -> Any:
         if group is not None and fnmatchcase(group, pattern):
             return entry
     raise SceneError(f"from_mesh: group {group!r} has no {what}; given for {', '.join(map(str, value))}")
+
+
+def check_where(what: str, where: Any) -> None:
+    """Refuse a `where` that is no function.
+
+    Raises
+    ------
+    SceneError
+        Naming `what` asked for it.
+    """
+    if where is not None and not callable(where):
+        raise SceneError(f"{what}: where = {where!r}, allowed is a function of places (n, 3) -> (n,) bool")
 
 
 def choose(what: str, where: Where, places: np.ndarray) -> np.ndarray:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from verify.meshes import box, plane
 
 import fdem
-from verify.meshes import box, plane
 
 pytestmark = pytest.mark.filterwarnings("ignore::fdem.FdemWarning")  # coarse meshes: lumped inertia
 LENGTH, WIDTH, YOUNG, DENSITY, G = 10.0, 2.0, 1e9, 2500.0, 9.81

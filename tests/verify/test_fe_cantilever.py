@@ -6,9 +6,9 @@ import functools
 
 import numpy as np
 import pytest
+from verify.meshes import box, plane
 
 import fdem
-from verify.meshes import box, plane
 
 LENGTH, DEPTH, WIDTH, LOAD, YOUNG = 8.0, 1.0, 1.0, 1e5, 1e10
 INERTIA = WIDTH * DEPTH**3 / 12
@@ -18,7 +18,12 @@ SCALE = 1e-3
 
 
 def exact(x):
-    across = LOAD * x[:, 1] / (6 * YOUNG * INERTIA) * ((6 * LENGTH - 3 * x[:, 0]) * x[:, 0] + 2 * (x[:, 1] ** 2 - DEPTH**2 / 4))
+    across = (
+        LOAD
+        * x[:, 1]
+        / (6 * YOUNG * INERTIA)
+        * ((6 * LENGTH - 3 * x[:, 0]) * x[:, 0] + 2 * (x[:, 1] ** 2 - DEPTH**2 / 4))
+    )
     down = -LOAD / (6 * YOUNG * INERTIA) * (DEPTH**2 * x[:, 0] + (3 * LENGTH - x[:, 0]) * x[:, 0] ** 2)
     return SCALE * np.column_stack([across, down, 0 * down])
 
@@ -42,7 +47,11 @@ def tip(cells, strain="small", ratio=1e-5):
     moved = sim[beam].gridpoint_displacement
     places = sim[beam].gridpoints - moved
     end = (np.abs(places[:, 0] - LENGTH) < 1e-9) & (np.abs(places[:, 1]) < 1e-9)
-    return moved[end, 1].mean() / (SCALE * TIP), sim[root].force / (SCALE * LOAD), sim.energy.strain / (SCALE**2 * 1033.6)
+    return (
+        moved[end, 1].mean() / (SCALE * TIP),
+        sim[root].force / (SCALE * LOAD),
+        sim.energy.strain / (SCALE**2 * 1033.6),
+    )
 
 
 @pytest.mark.parametrize(("cells", "low"), [(2, 0.638), (4, 0.319), (8, 0.109)])

@@ -6,10 +6,10 @@ import functools
 
 import numpy as np
 import pytest
-
-import fdem
 from verify.meshes import box
 from verify.modes import natural_frequencies
+
+import fdem
 
 YOUNG, POISSON, DENSITY = 1e10, 0.3, 2500.0
 SHEAR_SPEED = np.sqrt(YOUNG / (2 * (1 + POISSON)) / DENSITY)
@@ -32,7 +32,8 @@ def test_twelve_frequencies_at_eight_cells():
     # the oracle's 3 %: constant strain is 2.8 % too stiff in the first mode here
     np.testing.assert_allclose(found, OMEGA, rtol=0.03)
     # rigid modes exert nothing, and no other free motion is found below the first elastic mode
-    assert net < 1e-9
+    # (second order in strains of 1e-5: moments are taken about the undeformed places)
+    assert net < 1e-6
     assert found[0] > 0.9 * OMEGA[0]
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from verify.meshes import box
 
 import fdem
-from verify.meshes import box
 
 pytestmark = pytest.mark.filterwarnings("ignore::fdem.FdemWarning")  # coarse meshes: lumped inertia
 YOUNG, POISSON = 1e10, 0.25

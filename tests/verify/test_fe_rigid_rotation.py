@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from verify.meshes import box
 
 import fdem
-from verify.meshes import box
 
 YOUNG, POISSON, DENSITY, SPIN = 1e9, 0.25, 2000.0, 10.0
 AXIS = np.array([1.0, 2.0, 2.0]) / 3.0

@@ -6,9 +6,9 @@ import functools
 
 import numpy as np
 import pytest
+from verify.meshes import quarter_ring
 
 import fdem
-from verify.meshes import quarter_ring
 
 INNER, OUTER, PRESSURE, YOUNG, POISSON = 1.0, 2.0, 1e7, 5e9, 0.3
 # 1e-3 of the pressure: Lame's formula is linear, the bore would otherwise open by 0.4 %
@@ -31,7 +31,9 @@ def solve(radial, poisson=POISSON):
     scene.fix(block, "z")
     scene.fix(block, "x", where=lambda x: x[:, 0] == 0.0)
     scene.fix(block, "y", where=lambda x: x[:, 1] == 0.0)
-    scene.apply(fdem.Pressure(SCALE * PRESSURE), block, where=lambda x: np.hypot(x[:, 0], x[:, 1]) < INNER + 0.01 / radial)
+    scene.apply(
+        fdem.Pressure(SCALE * PRESSURE), block, where=lambda x: np.hypot(x[:, 0], x[:, 1]) < INNER + 0.01 / radial
+    )
     sim = fdem.Simulation(scene, fdem.Relaxation(), progress=False)
     report = sim.solve(ratio=1e-6)
     assert report.converged

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from verify.meshes import box, plane
 
 import fdem
-from verify.meshes import box, plane
 
 pytestmark = pytest.mark.filterwarnings("ignore::fdem.FdemWarning")  # coarse meshes: lumped inertia
 YOUNG, POISSON = 2e10, 0.3
 SIZE = np.array([1.0, 1.0, 2.0])
-COMPLIANCE = np.array(
-    [
-        [1, -POISSON, -POISSON, 0, 0, 0],
-        [-POISSON, 1, -POISSON, 0, 0, 0],
-        [-POISSON, -POISSON, 1, 0, 0, 0],
-        [0, 0, 0, 2 + 2 * POISSON, 0, 0],
-        [0, 0, 0, 0, 2 + 2 * POISSON, 0],
-        [0, 0, 0, 0, 0, 2 + 2 * POISSON],
-    ]
-) / YOUNG
+COMPLIANCE = (
+    np.array(
+        [
+            [1, -POISSON, -POISSON, 0, 0, 0],
+            [-POISSON, 1, -POISSON, 0, 0, 0],
+            [-POISSON, -POISSON, 1, 0, 0, 0],
+            [0, 0, 0, 2 + 2 * POISSON, 0, 0],
+            [0, 0, 0, 0, 2 + 2 * POISSON, 0],
+            [0, 0, 0, 0, 0, 2 + 2 * POISSON],
+        ]
+    )
+    / YOUNG
+)
 STATES = {
     "triaxial": (-5e6, -5e6, -20e6, 0, 0, 0),
     "uniaxial": (0, 0, -10e6, 0, 0, 0),

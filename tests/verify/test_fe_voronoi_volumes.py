@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from verify.meshes import box_mesh
 
 import fdem
-from verify.meshes import box_mesh
 
 OBTUSE_POINTS = [
     [0, 0, 0], [0, 0, 1], [0, 1, 0], [0, 1, 1], [1, 0, 0], [1, 0, 1], [1, 1, 0], [1, 1, 1],

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from meshes import box
+from verify.meshes import box
 
 import fdem
 
