@@ -22,7 +22,7 @@ def arch(body: fdem.Rigid | fdem.Zoned) -> tuple[fdem.Simulation, float]:
     supports = scene.fix([voussoirs[0], voussoirs[-1]])
     scene.joint(fdem.Coulomb(kn=50e9, ks=20e9, friction=35))
     sim = fdem.Simulation(scene, fdem.Relaxation())
-    report = sim.solve(ratio=1e-5)
+    report = sim.solve(ratio=1e-6)
     if report.reason != "equilibrium":
         raise SystemExit(f"the arch should stand, but the run ended with {report}")
     weight = 9.81 * sim[voussoirs[1:-1]].mass.sum()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import zlib
-from copy import copy
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +25,7 @@ __all__ = ["Carrier", "carry", "read", "restore", "save", "transfer"]
 FORMAT = 1
 SCALARS = ("lag", "dt", "work", "damped")
 ARRAYS = ("q", "v", "x", "x_old")
-KEPT = ("elastic_old", "_load_old", "_reaction_old")
+KEPT = ("elastic_old", "_load_old", "_reaction_old", "_k_used")
 
 
 class Carrier:
@@ -60,7 +59,7 @@ def carry(old: Carrier, sim: Simulation, *, motion: bool = True) -> None:
     sim : Simulation
         Where it goes; matched by block name.
     motion : bool, optional
-        Take velocities, time and the ledger's sums as well.
+        Take velocities, time and the sums of work as well.
 
     Raises
     ------
@@ -77,14 +76,14 @@ def carry(old: Carrier, sim: Simulation, *, motion: bool = True) -> None:
         state.x[b], state.x_old[b], sim.x0[b] = old.state.x[a], old.state.x_old[a], old.x0[a]
         sim.centroids0[after] = old.centroids0[before]
         _carry_block(old, sim, before, after, motion)
+        if sim.system._load_old is not None and old.system._load_old is not None:
+            sim.system._load_old[b] = old.system._load_old[a]
     if sim.system.contacts is not None and old.system.contacts is not None:
         adopt(sim.system.contacts, old.system.contacts, np.array(old.rows(model)), old.gridpoints(model), state.x)
     if motion:
         for name in SCALARS:
             setattr(sim.system, name, getattr(old.system, name))
         state.t, state.step = old.state.t, old.state.step
-    else:
-        state.x_old[:] = state.x
     sim.system.current = False
 
 
@@ -105,34 +104,26 @@ def _carry_block(old: Carrier, sim: Simulation, before: int, after: int, motion:
         c = old.model.deformable.coords.start + 3 * old.model.gp_range[before, 0]
         d = sim.model.deformable.coords.start + 3 * sim.model.gp_range[after, 0]
         sim.system.q0[d : d + width] = old.system.q0[c : c + width]
-    if motion:
-        sim.state.v[b : b + width] = old.state.v[a : a + width]
+    if not motion:
+        return
+    sim.state.v[b : b + width] = old.state.v[a : a + width]
+    if old.system.elastic_old is not None:
+        if sim.system.elastic_old is None:
+            sim.system.elastic_old = np.zeros_like(sim.state.v)
+        sim.system.elastic_old[b : b + width] = old.system.elastic_old[a : a + width]
+    if old.system._reaction_old is not None and sim.system._reaction_old is not None:
+        sim.system._reaction_old[b : b + width] = old.system._reaction_old[a : a + width]
 
 
 def transfer(source: Simulation, sim: Simulation) -> None:
-    """State of another simulation at the start of `sim` (see `Simulation`, `start`); its ledger starts anew."""
-    system = source.system
-    history = {} if system.contacts is None else system.contacts.state_arrays()
-    x_old = system.state.x_old.copy()
-    names = (*SCALARS, *KEPT)
-    kept = {name: copy(getattr(system, name)) for name in names}
-    elastic = copy(system.elastic)
-    source.forces()
-    system.commit()
+    """State of another simulation at the start of `sim` (see `Simulation`, `start`)."""
     same = source.integrator.scaled == sim.integrator.scaled
     carry(Carrier(source), sim, motion=same)
-    # the source goes on as if nobody had looked
-    for name, value in kept.items():
-        setattr(system, name, value)
-    system.elastic = elastic
-    system.state.x_old[:] = x_old
-    if system.contacts is not None:
-        system.contacts.restore(history)
-    system.current = False
-    sim.system.work = sim.system.damped = 0.0
-    if sim.system.contacts is not None:
-        sim.system.contacts.work[:] = 0.0
     if not same:
+        # what happened since the last commit belongs to the past, not to the first step
+        sim.system.forces()
+        sim.system.commit()
+        sim.system.current = False
         sim.x0, sim.centroids0 = sim.state.x.copy(), sim.centroids()
         sim.turned[:] = 0.0
 
@@ -142,7 +133,7 @@ def save(sim: Simulation, path: str | Path) -> None:
     system, state = sim.system, sim.state
     arrays: dict[str, Any] = {name: getattr(state, name) for name in ARRAYS}
     arrays |= {"x0": sim.x0, "centroids0": sim.centroids0, "turned": sim.turned, "q0": system.q0}
-    for name in ("elastic_old", "_load_old", "_reaction_old", "_k_used"):
+    for name in KEPT:
         if getattr(system, name) is not None:
             arrays[name] = getattr(system, name)
     for i, scaled in enumerate(system.scaled):
@@ -261,7 +252,7 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
     sim.x0, sim.centroids0, sim.turned = saved["x0"], saved["centroids0"], saved["turned"]
     system.q0 = saved["q0"]
     sim.integrator.start(system)
-    for name in ("elastic_old", "_load_old", "_reaction_old", "_k_used"):
+    for name in KEPT:
         if name in saved:
             setattr(system, name, saved[name])
     system.scaled = [saved.get(f"scaled_{i}") for i in range(len(system.scaled))]

@@ -29,7 +29,7 @@ def staged():
     """A jointed column with an opening cut by a shape, glued at first, under in-situ stress."""
     scene = fdem.Scene()
     scene.add(fdem.brick((0, 0, 0), (2, 1, 3)), fdem.Rigid(), STONE, name="rock")
-    scene.cut(fdem.JointSet(20, 90, spacing=1.0, origin=(1, 0, 0.5), name="bed"))
+    scene.cut(fdem.JointSet(20, 90, spacing=1.0, origin=(1, 0, 0.3), name="bed"))
     scene.cut(fdem.brick((0.6, -1, 1.0), (1.4, 2, 1.9)), name="opening")
     for i, block in enumerate(scene.blocks):
         if i % 2:

@@ -30,10 +30,9 @@ def make_view(blocks: int = 3, scale: float = 1.0) -> SimpleNamespace:
     corners = [corners[0], corners[2]] if blocks == 2 else corners
     zoned = np.array([True] * (blocks - 1) + [False])
     X = scale * np.concatenate(corners)
-    start = 8 * np.arange(blocks + 1)
     ids = np.arange(blocks, dtype=np.int32)
     model = SimpleNamespace(
-        names=[f"b{i}" for i in range(blocks)], groups=["wall"] * (blocks - 1) + [None], gp_start=start, X=X,
+        names=[f"b{i}" for i in range(blocks)], groups=["wall"] * (blocks - 1) + [None], gp_block=np.repeat(ids, 8), X=X,
         zones=np.concatenate([ZONES + 8 * i for i in range(blocks - 1)]).astype(np.int32),
         zone_block=np.repeat(ids[:-1], 6),
         triangles=np.concatenate([TRIANGLES + 8 * i for i in range(blocks)]).astype(np.int32),

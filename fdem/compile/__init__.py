@@ -107,7 +107,7 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
         surfaces.append(
             BlockSurface(
                 loops=[np.asarray(loop, dtype=np.int32) + np.int32(start) for loop in layout.loops[i]],
-                tags=np.array([number.get(tag, -1) for tag in layout.loop_tags[i]], dtype=np.int32),
+                tags=np.array([-1 if tag is None else number[tag] for tag in layout.loop_tags[i]], dtype=np.int32),
                 affine=not deformable,
                 gp=(start, stop),
                 fixed=bool(model.fixed[i]),

@@ -201,7 +201,7 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
         zone_start=zone_start,
         triangles=np.vstack([t + s for t, (s, _) in zip(layout.triangles, layout.gp_range, strict=True)]).astype(np.int32),
         triangle_block=np.repeat(np.arange(len(counts)), counts).astype(np.int32),
-        triangle_tag=np.array([number.get(t, -1) for tags_ in layout.triangle_tags for t in tags_], dtype=np.int32),
+        triangle_tag=np.array([-1 if t is None else number[t] for tags_ in layout.triangle_tags for t in tags_], dtype=np.int32),
         tags=tags,
         batches=tuple(b for b in (body, deformable) if b is not None),
         rigid=body,

@@ -165,8 +165,8 @@ class Contacts:
             if len(bad):
                 worst = bad[np.argmax(cut.depth[bad])]
                 raise SceneError(
-                    f"blocks {self._pair_names(p.pair[worst])} overlap by {cut.depth[worst]:.3g} m at the start, more than "
-                    f"gap_tolerance = {tolerance[worst]:.3g} m"
+                    f"blocks {self._pair_names(p.pair[worst])} overlap by {cut.depth[worst]:.3g} m at the start, more "
+                    f"than gap_tolerance = {tolerance[worst]:.3g} m"
                 )
         touching = fit if self.gap_tolerance is None or self.gap_tolerance > 0.0 else cut.depth > -TOUCH * size
         touching = touching & ((p.flags & kernels.FACING) > 0)
@@ -180,7 +180,7 @@ class Contacts:
             "gaps closed": float(fit.sum()),
             "largest gap / size": float(relative.max(initial=0.0)),
         }
-        self._install(p, cut.ghosts, x)
+        self._install(p, cut.ghosts, x, np.arange(len(p)))
         self.n_detections = 1
 
     def _orient(self) -> None:
@@ -202,8 +202,8 @@ class Contacts:
         )  # fmt: skip
         if len(cut.too_deep):
             raise raise_deep(
-                f"blocks {self._pair_names(cut.too_deep[0])} overlap deeper than their surfaces describe (a quarter of the "
-                "local thickness); is the joint too soft, the step too large, or a block inside another?"
+                f"blocks {self._pair_names(cut.too_deep[0])} overlap deeper than their surfaces describe (a quarter of "
+                "the local thickness); is the joint too soft, the step too large, or a block inside another?"
             )
         p = cut.patches
         fresh = np.flatnonzero(inherit_laws(old, p, s.n_faces))
@@ -302,19 +302,21 @@ class Contacts:
         mask[which] = True
         touched = mask[self.patches.pair]
         old = self.patches.take(np.flatnonzero(touched))
-        kept = self.patches.take(np.flatnonzero(~touched))
+        kept = np.flatnonzero(~touched)
+        merged = self.patches
         ghosts = self.ghosts.without(mask)
         if len(which):
             cut = self._cut(which, x, old, raise_deep=OverlapError)
             inherit_history(self.surfaces, old, cut.patches, x)
-            kept = Patches.join(kept, cut.patches)
+            kept = np.concatenate([kept, len(merged) + np.arange(len(cut.patches))])
+            merged = Patches.join(merged, cut.patches)
             ghosts = Ghosts.join(ghosts, cut.ghosts)
-        self._install(kept, ghosts, x)
+        self._install(merged, ghosts, x, kept)
 
-    def _install(self, p: Patches, ghosts: Ghosts, x: Array) -> None:
-        """Sort the patches and allocate what `forces` writes."""
-        order = np.lexsort((p.face_s, p.face_m, p.pair, p.law))
-        self.patches = p = p.take(order)
+    def _install(self, p: Patches, ghosts: Ghosts, x: Array, ids: Any) -> None:
+        """Sort the patches `ids` of `p` and allocate what `forces` writes."""
+        order = np.lexsort((p.face_s[ids], p.face_m[ids], p.pair[ids], p.law[ids]))
+        self.patches = p.take(ids[order])
         self.ghosts = ghosts
         self.x_check[:] = x
         self._prepare()
@@ -348,7 +350,8 @@ class Contacts:
         reach = 0.25 * np.minimum(p.reach, p.normal_reach)
         for blocks, pair, r in (
             (self.slave, p.pair, reach), (self.master, p.pair, reach),
-            (self.slave, self.ghosts.pair, 0.25 * self.ghosts.reach), (self.master, self.ghosts.pair, 0.25 * self.ghosts.reach),
+            (self.slave, self.ghosts.pair, 0.25 * self.ghosts.reach),
+            (self.master, self.ghosts.pair, 0.25 * self.ghosts.reach),
         ):  # fmt: skip
             np.minimum.at(tolerance, blocks[pair], r)
         self._tolerance = tolerance
@@ -389,15 +392,16 @@ class Contacts:
         )  # fmt: skip
         if deep >= 0:
             raise OverlapError(
-                f"blocks {self._pair_names(p.pair[deep])} overlap by {-self._gap[3 * deep : 3 * deep + 3].min():.3g} m, more "
-                f"than their surfaces describe ({p.limit[deep]:.3g} m); joint too soft or step too large"
+                f"blocks {self._pair_names(p.pair[deep])} overlap by {-self._gap[3 * deep : 3 * deep + 3].min():.3g} m"
+                f", more than their surfaces describe ({p.limit[deep]:.3g} m); joint too soft or step too large"
             )
         for k, law in enumerate(self.laws):
             lo, hi = self._law_start[k], self._law_start[k + 1]
             if hi > lo:
                 law.sweep(
                     3 * lo, 3 * hi, dt, self._gap, self._push, self._slip, self._normal, self._align, self._area,
-                    self._mass, p.prop, law.props, self._memory_start, self._memory, self._traction, self._work, self._state,
+                    self._mass, p.prop, law.props, self._memory_start, self._memory, self._traction, self._work,
+                    self._state,
                 )  # fmt: skip
         self._trial = True
         kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._traction, f_gp)

@@ -26,8 +26,8 @@ LATENT_TRAVEL = 1e-4  # the same across the face, while side strips are left out
 class Patches:
     """Contact patches as flat arrays, sorted by law, pair, master face, slave face.
 
-    Every array has one row per patch, except `corners` (ragged, by `start`) and rows per contact point (three per patch):
-    `memory_old`, `w_clip`.
+    Every array has one row per patch, except `corners` (ragged, by `start`) and, with one row per contact point (three
+    per patch), `memory_old` and `w_clip`.
     """
 
     pair: Ints
@@ -178,10 +178,11 @@ def cut_pairs(
     kernels.measure(gp, start, corners, p.offset, x, *sizes, plane_depth, centre)
     area, closed, align, depth = sizes
     facing = align > STRIP
-    weight = np.where(facing, area, closed)
-    largest = np.zeros(len(which))
-    np.maximum.at(largest, local, weight)
-    keep = weight > prune * largest[local] if prune > 0.0 else np.ones(n, bool)
+    largest, largest_closed = np.zeros(len(which)), np.zeros(len(which))
+    np.maximum.at(largest, local, np.where(facing, area, closed))
+    np.maximum.at(largest_closed, local, closed)
+    # side strips are weighed by what is closed: they exist only as far as the blocks overlap
+    keep = np.where(facing, area > prune * largest[local], closed > prune * largest_closed[local]) | (prune <= 0.0)
     latent = np.zeros(len(which), bool)
     latent[local[~keep & ~facing]] = True
     nearest = miss.copy()  # the next thing to happen to a pair: a wall reached, or a face that just missed
@@ -203,7 +204,8 @@ def cut_pairs(
 
 
 def _ghosts(
-    s: Surfaces, which: Ints, empty: Any, miss_face: Ints, nearest: Array, travel: Array, x: Array, p: Patches, local: Ints,
+    s: Surfaces, which: Ints, empty: Any, miss_face: Ints, nearest: Array, travel: Array, x: Array, p: Patches,
+    local: Ints,
     keep: Any,
 ) -> Ghosts:  # fmt: skip
     """One watcher per pair without patches: its nearest miss, or a patch that was dropped."""

@@ -243,7 +243,8 @@ class FaceGeometry:
         """Recompute everything of the given blocks from positions `x` (n_gp, 3)."""
         kernels.face_geometry(
             blocks, s.face_start, s.corner_start, s.corner_w, s.ref, s.neighbour, s.sharp, s.open, x,
-            self.corner_x, self.normal, self.wall, self.kind, self.lower, self.upper, self.block_lower, self.block_upper,
+            self.corner_x, self.normal, self.wall, self.kind, self.lower, self.upper,
+            self.block_lower, self.block_upper,
         )  # fmt: skip
 
 

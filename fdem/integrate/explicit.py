@@ -10,7 +10,7 @@ import numpy as np
 
 from fdem.errors import FdemWarning, SceneError
 
-__all__ = ["Explicit", "Local", "Rayleigh", "Relaxation"]
+__all__ = ["Adaptive", "Explicit", "Local", "Rayleigh", "Relaxation"]
 
 
 def _check(owner: str, name: str, value: Any, low: float, high: float = np.inf) -> None:
@@ -56,6 +56,48 @@ class Local:
             v += h * a
         else:
             _centred(system, h, a, system.alpha, None)
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """Viscous damping of `Relaxation` that stays near critical for the slowest mode still moving.
+
+    Notes
+    -----
+    ``C = 2 omega M`` on the scaled masses, with omega from the Rayleigh quotient of the present motion,
+    ``omega^2 = v.K v / v.M v`` and ``K v dt = f(n-1) - f(n)`` (Underwood, Dynamic relaxation, 1983). Fast modes
+    die first, then the quotient follows the slower ones: about five times fewer cycles than `Local` for
+    slender blocks. Local damping is the choice where blocks come apart or move on their own.
+    """
+
+    every: int = field(default=10, init=False, repr=False)
+
+    def start(self, system: Any) -> None:
+        """Start without damping."""
+        object.__setattr__(self, "_omega", 0.0)
+        object.__setattr__(self, "_before", None)
+
+    def kick(self, system: Any, h: float) -> None:
+        """Change the velocities by the accelerations over `h` [s]."""
+        v, f = system.state.v, system.state.f
+        phase = system.state.step % self.every
+        if phase == self.every - 1 or phase == 0:
+            free = f.copy()
+            system.constraints.release(free)
+            if phase == 0 and self._before is not None:
+                self._measure(system, self._before - free)
+            object.__setattr__(self, "_before", free if phase else None)
+        # below the rate at which a step would turn velocities round
+        half = min(self._omega * h, 0.95)
+        v *= (1.0 - half) / (1.0 + half)
+        v += h / (1.0 + half) * system.accelerate(f)
+
+    def _measure(self, system: Any, change: np.ndarray) -> None:
+        v = system.state.v.copy()
+        system.constraints.release(v)
+        twice = system.scaled_kinetic(v)
+        if twice > 0.0:
+            object.__setattr__(self, "_omega", float(np.sqrt(max(change @ v, 0.0) / (system.dt * twice))))
 
 
 @dataclass(frozen=True)
@@ -152,7 +194,7 @@ class Explicit:
 
     dt: float | None = None
     safety: float = 0.8
-    damping: Local | Rayleigh | None = None
+    damping: Local | Rayleigh | Adaptive | None = None
     scaled: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -160,8 +202,10 @@ class Explicit:
         if self.dt is not None:
             _check(owner, "dt", self.dt, np.finfo(float).tiny)
         _check(owner, "safety", self.safety, np.finfo(float).tiny, 1.0)
-        if self.damping is not None and not isinstance(self.damping, (Local, Rayleigh)):
-            raise SceneError(f"{owner}: damping = {self.damping!r}, allowed are Local and Rayleigh")
+        if self.damping is not None and not isinstance(self.damping, (Local, Rayleigh, Adaptive)):
+            raise SceneError(f"{owner}: damping = {self.damping!r}, allowed are Local, Rayleigh and Adaptive")
+        if isinstance(self.damping, Adaptive) and not isinstance(self, Relaxation):
+            raise SceneError(f"{owner}: damping = {self.damping!r} is for Relaxation")
         self._damping: Any = self.damping or _Undamped()
 
     def start(self, system: Any) -> None:
@@ -228,7 +272,7 @@ class Relaxation(Explicit):
 
     dt: float | None = field(default=None, init=False)
     safety: float = field(default=0.8, init=False)
-    damping: Local | Rayleigh | None = field(default_factory=Local)
+    damping: Local | Rayleigh | Adaptive | None = field(default_factory=Local)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -236,6 +236,17 @@ class System:
         k = self.stiffness()
         self.scaled = [b.relaxation_mass(self.state.q, self.state.x, k) for b in self.model.batches]
 
+    def scaled_kinetic(self, v: np.ndarray) -> float:
+        """``v.M v`` with the fictitious masses."""
+        total = 0.0
+        for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
+            if batch is self.model.rigid:
+                six = v[batch.dofs].reshape(-1, 6)
+                total += float(np.einsum("n,ni,nij,nj->", scaled, six, batch.generalised_mass(self.state.q), six))
+            else:
+                total += float(scaled @ (v[batch.dofs].reshape(-1, 3) ** 2).sum(axis=1))
+        return total
+
     def kinetic(self) -> float:
         """Kinetic energy [J] of what is free to move, at the time of the configuration."""
         v = self.velocity()
@@ -254,12 +265,18 @@ class System:
             worst = self._rigid_ratio(unbalanced[model.rigid.dofs].reshape(-1, 6))
         if model.deformable is not None:
             batch = model.deformable
-            left = np.linalg.norm(unbalanced[batch.dofs].reshape(-1, 3), axis=1).max()
+            free = np.linalg.norm(unbalanced[batch.dofs].reshape(-1, 3), axis=1)
+            scaled = self.scaled[-1]
+            if scaled is not None:
+                # positions end at their last bits, and so forces: 8 for the sum over the zones of a gridpoint
+                free -= 8 * np.finfo(float).eps * np.abs(state.x[batch.gridpoints]).max() * scaled
+            left = max(float(free.max()), 0.0)
             inner = np.zeros_like(state.f)
             batch.internal(state.x, inner)
-            acting = np.linalg.norm(inner[batch.dofs].reshape(-1, 3), axis=1).max()
+            acting = float(np.linalg.norm(inner[batch.dofs].reshape(-1, 3), axis=1).max())
             weight = float(np.linalg.norm(model.gravity)) * float(batch.gp_mass.max())
-            worst = max(worst, _share(left, max(acting, weight)))
+            pushed = 0.0 if self.f_load is None else np.linalg.norm(self.f_load[batch.gridpoints], axis=1).max()
+            worst = max(worst, _share(left, max(acting, weight, pushed)))
         return worst
 
     def _rigid_ratio(self, unbalanced: np.ndarray) -> float:

@@ -6,8 +6,8 @@ a polygon by a plane needs nothing else. The same numbers hold in every affinely
 
 The depth field of a master is ``d(x) = min over its faces g with x in R_g of n_g . (c_g - x)``. For convex masters
 ``R_g`` is everything, so cells are bounded by the bisectors with all other faces. For other masters ``R_g`` is bounded
-by the bisector at re-entrant and smooth edges, and at a sharp convex edge by the *union* of bisector and the plane through
-the edge normal to the face, so that a face does not compete beyond its border.
+by the bisector at re-entrant and smooth edges, and at a sharp convex edge by the *union* of bisector and the plane
+through the edge normal to the face, so that a face does not compete beyond its border.
 """
 
 from __future__ import annotations
@@ -350,7 +350,8 @@ def _own_cell(f, b, xs, df, poly, count, snap, convex, corner_start, corner_x, n
 
 @kernel
 def _rival(
-    g, xs, df, dg, outside, reach, bufs, work, n_pieces, snap, corner_start, corner_x, normal, wall, kind, tmp, part, side, v
+    g, xs, df, dg, outside, reach, bufs, work, n_pieces, snap, corner_start, corner_x, normal, wall, kind, tmp, part,
+    side, v,
 ):  # fmt: skip
     """Take away from the pieces what lies in the cell of the competing face g; returns the number of pieces.
 
@@ -426,7 +427,7 @@ def _rival(
 
 @kernel
 def _inside(o, b, face_start, corner_start, corner_x):
-    """Whether the point `o` lies inside the closed surface of block b (solid angle; Van Oosterom and Strackee, 1983)."""
+    """Whether the point `o` lies inside the closed surface of block b (Van Oosterom and Strackee, 1983)."""
     angle = 0.0
     for f in range(face_start[b], face_start[b + 1]):
         first = corner_start[f]
@@ -569,7 +570,8 @@ def clip_pairs(
                 if count == 0:
                     continue
                 n_pieces, margin, lost = _own_cell(
-                    f, m, xs, df, poly, count, snap, convex[m], corner_start, corner_x, normal, wall, kind, bufs, work, tmp
+                    f, m, xs, df, poly, count, snap, convex[m], corner_start, corner_x, normal, wall, kind, bufs, work,
+                    tmp,
                 )  # fmt: skip
                 if n_pieces == 0 and lost < miss[p]:
                     miss[p] = lost
@@ -632,8 +634,8 @@ def clip_pairs(
                         n_before = n_pieces
                         for outside in range(2):
                             n_pieces = _rival(
-                                g, xs, df, dg, outside == 1, 4.0 * h, bufs, work, n_pieces, snap, corner_start, corner_x,
-                                normal, wall, kind, tmp, part, side, v,
+                                g, xs, df, dg, outside == 1, 4.0 * h, bufs, work, n_pieces, snap, corner_start,
+                                corner_x, normal, wall, kind, tmp, part, side, v,
                             )  # fmt: skip
                         if n_pieces != n_before:
                             margin = 0.0
@@ -701,7 +703,7 @@ def _grow_int(a):
 
 @kernel
 def swallowed(slave, master, block_lower, block_upper, face_start, corner_start, corner_x, is_open, out):
-    """Mark pairs (n_pairs,) uint8 one block of which lies inside the other: box in box and winding number of a corner."""
+    """Mark pairs (n_pairs,) uint8 one block of which lies inside the other: box in box, then one corner."""
     for p in range(len(slave)):
         for turn in range(2):
             a, b = (slave[p], master[p]) if turn == 0 else (master[p], slave[p])

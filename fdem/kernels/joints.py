@@ -9,7 +9,7 @@ A user's law is a kernel with this signature, in the user's own file:
 | lo, hi | int | - | rows to treat; rows with area 0 are open and must be left alone |
 | dt | float | s | time since the last commit; 0 or less: no rates (static) |
 | gap | (n,) | m | > 0 open, < 0 closed by the depth -gap |
-| push | (n_patches, 3) | - | unit normal n_a of the slave face per *patch* (row // 3): pressure p acts as -p n_a on the slave |
+| push | (n_patches, 3) | - | outward normal n_a of the slave face per *patch* (row // 3): p acts as -p n_a on it |
 | slip | (n, 3) | m | motion of the slave relative to the master at the point since the last commit |
 | normal | (n, 3) | - | unit normal of the friction frame; shear acts in the plane across it |
 | align | (n,) | - | part of the pressure that counts for friction, 0 for side strips |
@@ -18,7 +18,7 @@ A user's law is a kernel with this signature, in the user's own file:
 | prop | (n_patches,) | - | row of `props` per patch (row // 3) |
 | props | (n_props, k) | | columns 0 and 1 are kn and ks [Pa/m]; the rest is the law's business |
 | memory_old | (n, m) | | history at the start of the step, already moved and rotated to this row; not to be written |
-| memory | (n, m) | | history at the end: 0-2 elastic slip [m], 3 intact flag, 4 slip distance [m], 5 dilation [m], then free |
+| memory | (n, m) | | at the end: 0-2 elastic slip [m], 3 intact flag, 4 slip distance [m], 5 dilation [m], free |
 | traction | (n, 4) | Pa | out: pressure, and the shear traction on the slave (global axes) |
 | work | (n, 2) | J | out: dissipated by friction (and breaking), by damping, in this step |
 | state | (n,) int8 | - | out: 0 intact (bonded), 1 closed, 2 slipping, 3 open |
@@ -42,7 +42,7 @@ OPEN, SLIPPING, CLOSED, INTACT = 3, 2, 1, 0
 def coulomb(
     lo, hi, dt, gap, push, slip, normal, align, area, mass, prop, props, memory_old, memory, traction, work, state
 ):  # fmt: skip
-    """Linear stiffness, friction cone, cohesion and tension until failure, dilation, damping (arguments: top of file)."""
+    """Linear stiffness, friction cone, cohesion and tension until failure, dilation, damping (see top of file)."""
     for i in range(lo, hi):
         if area[i] == 0.0:
             state[i] = OPEN

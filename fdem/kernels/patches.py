@@ -237,7 +237,8 @@ def _frame(a, b, c, x, out):
 
 @kernel
 def project(
-    gp, start, corners, offset, flags, pair, limit, thick, ref_points, ref_ratio, inverse_mass, inverse_gp, damped, x, x_old,
+    gp, start, corners, offset, flags, pair, limit, thick, ref_points, ref_ratio, inverse_mass, inverse_gp, damped,
+    x, x_old,
     points_old, active_old, memory_old, points, active, memory, w, gap, area, align, normal, push, slip, mass,
     facing_out, pair_area, pair_normal,
 ):  # fmt: skip

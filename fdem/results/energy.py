@@ -71,6 +71,6 @@ class Ledger:
         return Energy(error=error, closure=closure, **now)
 
     def rebase(self, before: dict[str, float], after: dict[str, float]) -> None:
-        """Move the baseline by what stored energies changed when blocks were removed."""
+        """Move the baseline by what the entries changed when blocks were removed or loads came."""
         if self.start is not None:
-            self.start |= {name: self.start[name] + after[name] - before[name] for name in STORED}
+            self.start = {name: self.start[name] + after[name] - before[name] for name in self.start}

@@ -247,7 +247,17 @@ class Stress:
                 raise SceneError("Stress: k excludes xx and yy")
 
     def at(self, places: np.ndarray) -> np.ndarray:
-        """Stress (n, 6) [Pa] at `places` (n, 3) [m], in the order xx yy zz yz zx xy.
+        """Stress [Pa] at places, in the order xx yy zz yz zx xy.
+
+        Parameters
+        ----------
+        places : (n, 3) array
+            [m].
+
+        Returns
+        -------
+        (n, 6) array
+            [Pa], tension positive.
 
         Raises
         ------

@@ -44,6 +44,8 @@ class Coulomb(Joint):
 
     Parameters
     ----------
+    kn, ks : float, optional
+        Normal and shear stiffness [Pa/m]; None lets compile choose (and say so).
     friction : float
         Friction angle [deg].
     cohesion, tension : float, optional
@@ -135,6 +137,8 @@ class Bonded(Joint):
 
     Parameters
     ----------
+    kn, ks : float, optional
+        Normal and shear stiffness [Pa/m]; None lets compile choose (and say so).
     tension, shear : float, optional
         Strength [Pa]; infinite never breaks.
     friction : float, optional

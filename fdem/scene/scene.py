@@ -265,6 +265,11 @@ class Scene:
     def check(self, block: Block) -> None:
         """Refuse a block whose body, material and shape do not go together.
 
+        Parameters
+        ----------
+        block : Block
+            What to check.
+
         Raises
         ------
         SceneError
@@ -463,6 +468,16 @@ class Scene:
 
     def select(self, target: Any) -> list[tuple[Block, str | None]]:
         """Blocks a selector means, each with the face tag that selects within it (None: all of it).
+
+        Parameters
+        ----------
+        target : selector
+            A block, a list, a name, a group or pattern, a joint set or a mesh tag; None: every block.
+
+        Returns
+        -------
+        list of (Block, str or None)
+            In the order of the scene.
 
         Raises
         ------

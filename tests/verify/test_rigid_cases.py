@@ -16,7 +16,7 @@ KN, KS = 5e9, 2e9
 BODIES = ["rigid", "zoned"]
 
 
-def tilted(body, phi, velocity=(0.0, 0.0, 0.0)):
+def tilted(body, phi, velocity=(0.0, 0.0, 0.0), damping=0.0):
     """The 1 x 1 x 0.5 m block of 1000 kg on a slope of 30 degrees: gravity is tilted, not the geometry."""
     scene = fdem.Scene(gravity=G * np.array([np.sin(ANGLE), 0.0, -np.cos(ANGLE)]))
     scene.add(fdem.brick((-4, -1, -1), (13, 2, 0)), fdem.Rigid(), fixed=True, name="base")
@@ -24,74 +24,87 @@ def tilted(body, phi, velocity=(0.0, 0.0, 0.0)):
     material = fdem.Elastic(density=2000, young=1e10, poisson=0.2)
     kind = fdem.Rigid() if body == "rigid" else fdem.Zoned()
     block = scene.add(shape, kind, material, name="block", velocity=velocity)
-    scene.joint(fdem.Coulomb(kn=KN, ks=KS, friction=phi))
+    scene.joint(fdem.Coulomb(kn=KN, ks=KS, friction=phi, damping=damping))
     return scene, block
 
 
 @pytest.fixture(scope="module")
-def settled():
-    """Equilibrium of the block that friction of 45 degrees holds, by body."""
+def settle():
+    """Equilibrium of a body under a friction angle, kept for the next test."""
     states = {}
-    for body in BODIES:
-        scene, _ = tilted(body, 45.0)
-        states[body] = fdem.Simulation(scene, fdem.Relaxation())
-        assert states[body].solve(ratio=1e-9).converged
-    return states
+
+    def of(body, phi):
+        if (body, phi) not in states:
+            states[body, phi] = fdem.Simulation(tilted(body, phi)[0], fdem.Relaxation())
+            assert states[body, phi].solve(ratio=1e-9).converged
+        return states[body, phi]
+
+    return of
 
 
-def on_slope(settled, body, phi, velocity=(0.0, 0.0, 0.0)):
-    """Explicit run of the settled block, at half the stable step."""
-    scene, block = tilted(body, phi, velocity)
-    return fdem.Simulation(scene, fdem.Explicit(safety=0.5), start=settled[body]), block
+def on_slope(body, phi, start, **options):
+    """Explicit run at half the stable step."""
+    scene, block = tilted(body, phi, **options)
+    return fdem.Simulation(scene, fdem.Explicit(safety=0.5), start=start), block
 
 
 @pytest.mark.parametrize("phi", [0.0, 10.0, 20.0, 29.0])
 @pytest.mark.parametrize("body", BODIES)
-def test_incline_slides(settled, body, phi):
-    """s = g (sin a - cos a tan phi) t^2 / 2 to 0.1 % after settling; friction work mu m g cos a s."""
-    sim, block = on_slope(settled, body, phi)
+def test_incline_slides(settle, body, phi):
+    """s = g (sin a - cos a tan phi) t^2 / 2 to 0.1 %; friction work mu m g cos a s.
+
+    Settled where friction just holds it: every point of the contact is then close to its own limit, and little
+    elastic energy is set free when friction drops.
+    """
+    sim, block = on_slope(body, phi, settle(body, 30.05))
     mu = np.tan(np.radians(phi))
     for t in (0.5, 1.0, 2.0) if body == "rigid" else (0.5,):
         sim.run(time=t - sim.time)
         exact = 0.5 * G * (np.sin(ANGLE) - np.cos(ANGLE) * mu) * t**2
         assert sim[block].displacement[0] == pytest.approx(exact, rel=1e-3)
         work = mu * 1000 * G * np.cos(ANGLE) * exact
-        assert sim.energy.friction == pytest.approx(work, rel=2e-3, abs=0.1)
+        assert sim.energy.friction == pytest.approx(work, rel=2e-3)
 
 
 @pytest.mark.parametrize("phi", [31.0, 40.0])
-@pytest.mark.parametrize(("body", "time"), [("rigid", 10.0), ("zoned", 1.0), pytest.param("zoned", 10.0, marks=pytest.mark.long)])
-def test_incline_sticks(settled, body, time, phi):
-    """Drift below 1e-6 m in 10 s beyond the elastic shear displacement m g sin a / (ks A)."""
-    sim, block = on_slope(settled, body, phi)
-    bottom = 1000 * G * np.sin(ANGLE) / KS
-    if body == "rigid":
-        assert settled[body]["block"].displacement[0] >= bottom  # rocking in the joint adds to it
-    start = sim[block].position
+@pytest.mark.parametrize(
+    ("body", "time"), [("rigid", 10.0), ("zoned", 1.0), pytest.param("zoned", 10.0, marks=pytest.mark.long)]
+)
+def test_incline_sticks(settle, body, time, phi):
+    """Drift below 1e-6 m in 10 s, beyond the elastic shear displacement that settling brought."""
+    sim, block = on_slope(body, phi, settle(body, phi))
+    path = sim.history(block, "displacement", component="x", every=100)
     sim.run(time=time)
-    assert np.abs(sim[block].position - start).max() <= 1e-6
+    assert np.abs(path.values).max() <= 1e-6
 
 
 @pytest.mark.parametrize("phi", [0.0, 10.0, 20.0, 29.0, 31.0, 40.0])
 @pytest.mark.parametrize("body", BODIES)
-def test_incline_launched_up(settled, body, phi):
-    """Launched up-slope at 3 m/s: s = v0^2 / (2 g (sin a + mu cos a)) to 0.1 %, then sticks iff phi > 30 degrees."""
+def test_incline_launched_up(settle, body, phi):
+    """Launched up-slope at 3 m/s: s = v0^2 / (2 g (sin a + mu cos a)) to 0.1 %, then sticks iff phi > 30 degrees.
+
+    The joint is damped: friction that turns round at once makes the block rock, and a block that rocks slips.
+    """
     if body == "zoned" and phi not in (20.0, 31.0):
         pytest.skip("zoned: one angle that slides back and one that sticks")
-    sim, block = on_slope(settled, body, phi, velocity=(-3.0, 0.0, 0.0))
+    sim, block = on_slope(body, phi, settle(body, 30.05), velocity=(-3.0, 0.0, 0.0), damping=0.3)
     path = sim.history(block, "displacement", component="x")
     mu = np.tan(np.radians(phi))
     stop = 3.0 / (G * (np.sin(ANGLE) + mu * np.cos(ANGLE)))
     sim.run(time=stop + 0.3)
     top = -path.values.min()
     assert top == pytest.approx(1.5 * stop, rel=1e-3)
-    assert path.time[np.argmin(path.values)] == pytest.approx(stop, rel=0.01)
+    assert path.time[np.argmin(path.values)] == pytest.approx(stop, rel=1e-3)
     back = path.values[-1] + top
+    # turning from one side of the cone to the other frees elastic energy: a speed of order ks^-1/2
+    elastic = 1000 * G * np.cos(ANGLE) * mu / KS
+    kick = np.sqrt(4 * G * np.sin(ANGLE) * elastic)
+    down = G * (np.sin(ANGLE) - mu * np.cos(ANGLE))
     if phi > 30:
-        assert back <= 2e-2 * KN / KS * 1000 * G / KN + 1e-5  # elastic swing only
+        assert back <= 2 * (2 * elastic - 0.5 * kick**2 / down)
     else:
-        down = G * (np.sin(ANGLE) - mu * np.cos(ANGLE))
-        assert back == pytest.approx(0.5 * down * 0.3**2, rel=0.01)
+        exact = 0.5 * down * 0.3**2
+        assert 0.99 * exact <= back <= exact + 1.2 * 0.3 * kick
 
 
 def stack(body, n=10):
@@ -121,11 +134,13 @@ def test_stack_forces(body):
     assert np.abs(forces[:, :2]).max() <= 1e-4 * weights[0]
     closures = np.cumsum(weights) / 1e9
     if body == "rigid":
-        assert -sim[cubes].displacement[:, 2] == pytest.approx(closures, rel=1e-4)
+        # faces of equal size: the rim of the contact is nearer to the sides, which takes the order of closure / edge
+        assert -sim[cubes].displacement[:, 2] == pytest.approx(closures, rel=5e-4)
         table = sim.contact_table()
+        face = table["area"] > 0.1  # the rest are the rims
         for k in range(10):
-            pressure = table["traction"][table["block_b"] == k + 1, 0]
-            assert pressure == pytest.approx(weights[k], rel=1e-6)  # A = 1: symmetric, so even
+            pressure = table["traction"][face & (table["block_b"] == k + 1), 0]
+            assert np.ptp(pressure) <= 1e-6 * pressure.mean()  # symmetric, so even
     else:
         top = sim[cubes[-1]].gridpoint_displacement[sim[cubes[-1]].gridpoints[:, 2] > 9.9, 2]
         shortening = (weights - 0.5 * 2000 * G) / 1e10
@@ -157,9 +172,8 @@ def test_stack_frequencies():
         sim[load].factor = 0.0
     history = sim.history(lambda s: s[cubes].position[:, 2])
     sim.cycle(4000)
-    z = np.array(history.values) + settled[cubes].displacement[:, 2] * 0
     rest = np.arange(10) + 0.5 - np.cumsum(2000 * G * np.arange(10, 0, -1)) / 1e9
-    assert sampled_modes(z - rest + 0, sim.dt) == pytest.approx(exact, rel=5e-3)
+    assert sampled_modes(np.array(history.values) - rest, sim.dt) == pytest.approx(exact, rel=5e-3)
 
 
 B, D, H = 1.0, 0.6, 2.0
@@ -213,7 +227,7 @@ def freed(setup, integrator):
 def test_block_on_joint_modes(on_joint):
     """Six frequencies to 0.2 % at 0.05 of the critical step: those of the area-integrated joint."""
     vertical, twist, about_x, about_y = modes_of_block()
-    sim = freed(on_joint, fdem.Explicit(dt=0.05 * 2 / about_y[1]))
+    sim = freed(on_joint, fdem.Explicit(dt=0.05 * 2 / about_x[1]))
     block = on_joint[1]
     rest = 0.5 * H - 0.1 * G * DENSITY * H / BLOCK_KN
     history = sim.history(lambda s: np.concatenate([s[block].position, s[block].rotation_vector]))
@@ -228,7 +242,7 @@ def test_block_on_joint_modes(on_joint):
 @pytest.mark.parametrize("zeta", [0.0, 0.1, 1.0])
 def test_automatic_step(on_joint, zeta):
     """The step chosen lies in [0.5, 1.0] of the critical one, stiffness-proportional damping included."""
-    top = modes_of_block()[3][1]
+    top = modes_of_block()[2][1]
     damping = fdem.Rayleigh(stiffness=2 * zeta / top) if zeta else None
     sim = freed(on_joint, fdem.Explicit(damping=damping))
     critical = 2 / top * (np.sqrt(1 + zeta**2) - zeta)
@@ -238,7 +252,7 @@ def test_automatic_step(on_joint, zeta):
 @pytest.mark.parametrize("steps", [5_000, pytest.param(100_000, marks=pytest.mark.long)])
 def test_step_limit_is_honest(on_joint, steps):
     """A step of 0.99 of 2 / omega_max stays bounded; 1.01 grows and raises."""
-    top, block = modes_of_block()[3][1], on_joint[1]
+    top, block = modes_of_block()[2][1], on_joint[1]
     sim = freed(on_joint, fdem.Explicit(dt=0.99 * 2 / top))
     history = sim.history(lambda s: np.abs(s[block].rotation_vector[1]), every=10)
     sim.cycle(steps)
