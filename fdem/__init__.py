@@ -58,7 +58,7 @@ _HOME = {
     ),
     "fdem.scene.cutting": ("Disc", "JointSet", "cut"),
     "fdem.scene.reading": ("read",),
-    "fdem.integrate.explicit": ("Explicit", "Local", "Rayleigh", "Relaxation"),
+    "fdem.integrate.explicit": ("Adaptive", "Explicit", "Local", "Rayleigh", "Relaxation"),
     "fdem.simulation": ("Report", "Simulation", "load"),
     "fdem.results.history": ("Every", "History"),
     "fdem.results.output": ("Checkpoint", "Frames"),

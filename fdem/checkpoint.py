@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 __all__ = ["Carrier", "carry", "read", "restore", "save", "transfer"]
 
 FORMAT = 1
-SCALARS = ("lag", "dt", "work", "damped")
+SCALARS = ("lag", "dt", "work", "damped", "omega")
 ARRAYS = ("q", "v", "x", "x_old")
-KEPT = ("elastic_old", "_load_old", "_reaction_old", "_k_used")
+KEPT = ("elastic_old", "_load_old", "_reaction_old", "_k_used", "force_before")
 
 
 class Carrier:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -116,8 +117,12 @@ class Simulation(Readout):
             raise SceneError(f"Simulation: start = {start!r}, allowed is a simulation or the path of a saved one")
         if source is not None:
             self._removed = source._removed
-            self._applied |= {key: replace(value) for key, value in source._applied.items()}
+            # loads applied on the way go along within a scene; those of another scene know other blocks
+            known = source._applied if source.scene is scene else self._applied
+            self._applied |= {key: replace(value) for key, value in source._applied.items() if key in known}
         self._compile()
+        if self.integrator.scaled:
+            self.state.v[:] = 0.0  # the speeds of the scene are in m/s, not per unit of fictitious time
         if source is not None:
             checkpoint.transfer(source, self)
         self.integrator.start(self.system)
@@ -245,6 +250,9 @@ class Simulation(Readout):
         if not isinstance(max_cycles, (int, np.integer)) or max_cycles < 0:
             raise SceneError(f"solve: max_cycles = {max_cycles!r}, allowed is a whole number >= 0")
         begin, first = clock.perf_counter(), self.state.step
+        # while tractions of removed blocks are still being released, what looks like equilibrium is none
+        released = max((at + over - first for _, _, at, over in self._releases), default=0)
+        self._steps(min(max(released, 0), max_cycles))
         watch = Watch(self.system, ratio)
         reason = watch.look()
         while reason is None and self.state.step - first < max_cycles:
@@ -394,12 +402,17 @@ class Simulation(Readout):
         return history
 
     def observe(self, observer: Any) -> Any:
-        """Add an observer: anything with ``next(step, t, dt)`` and ``record(sim)``."""
+        """Add an observer: anything with ``next(step, t, dt)`` or ``next(step, t)``, and ``record(sim)``."""
         for method in ("next", "record"):
             if not callable(getattr(observer, method, None)):
                 raise SceneError(f"observe: observer = {observer!r} has no {method}()")
         observer.record(self)
-        self._observers.append(observer)
+        try:
+            signature(observer.next).bind(0, 0.0, 0.0)
+        except TypeError:
+            self._observers.append(_WithoutStep(observer))
+        else:
+            self._observers.append(observer)
         return observer
 
     def __getitem__(self, target: Any) -> Any:
@@ -463,6 +476,18 @@ class Simulation(Readout):
     def save(self, path: str | Path) -> None:
         """Save the state, so that `load` continues bit for bit."""
         checkpoint.save(self, path)
+
+
+class _WithoutStep:
+    """An observer whose ``next`` takes no length of the step."""
+
+    def __init__(self, observer: Any) -> None:
+        self._observer = observer
+        self.record = observer.record
+
+    def next(self, step: int, t: float, dt: float) -> int:
+        """Steps until due."""
+        return int(self._observer.next(step, t))
 
 
 def _fit(dt: float, left: float) -> float:

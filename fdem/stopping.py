@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,8 @@ class Watch:
         if total == 0.0 or len(self._moved) < 2:
             return 0.0
         older, newer = max(self._moved[: len(self._moved) // 2]), max(self._moved[len(self._moved) // 2 :])
-        if older == 0.0:
+        # what is left at the last bits of the positions never dies out
+        if older == 0.0 or newer <= 16 * np.finfo(float).eps * float(np.abs(self._x_last).max()):
             return 0.0
         decay = min((newer / older) ** (2.0 / len(self._moved)), 0.99)
         return newer * decay / (1.0 - decay) / total
@@ -94,6 +96,6 @@ class Watch:
         recent = self._speeds[-self.windows :]
         if len(recent) < self.windows or self.ratio < 10 * self.target:
             return False
-        growing = all(b >= 0.9 * a for a, b in zip(recent, recent[1:], strict=False))
+        growing = all(b >= 0.9 * a for a, b in pairwise(recent))
         worst = int(np.argmax(distance))
         return growing and net > 1e-3 * self._block_size[worst]

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 from scenes import assert_same_bits, everything, simulation, staged
 
 import fdem
+from fdem.kernels.patches import FACING
 from fdem.scene.shapes import Polyhedron
 
 
@@ -45,7 +46,7 @@ class Units:
 SI = Units()
 
 
-def falling(u, strain="large", moving=True):
+def falling(u, strain="large"):
     """Zoned and rigid blocks that fall, spin and slide on a base; every kind of load."""
     scene = fdem.Scene(gravity=np.array([2.0, 0.5, -9.0]) * u.acceleration)
     scene.add(u.brick((-2, -2, -0.5), (3, 3, 0)), fdem.Rigid(), name="base", fixed=True)
@@ -54,8 +55,8 @@ def falling(u, strain="large", moving=True):
     )
     scene.add(
         u.brick((0.25, 0.25, 0.53125), (1.125, 0.875, 1.125)), fdem.Rigid(), u.elastic(), name="high",
-        velocity=moving * np.array([0.25, 0.125, 0.0]) * u.velocity,
-        angular_velocity=moving * np.array([0.0, 0.5, 0.25]) * u.spin,
+        velocity=np.array([0.25, 0.125, 0.0]) * u.velocity,
+        angular_velocity=np.array([0.0, 0.5, 0.25]) * u.spin,
     )  # fmt: skip
     scene.joint(u.coulomb(damping=0.05, tension=1e3 * u.stress))
     scene.apply(fdem.Pressure(2e3 * u.stress), "low", where=lambda x: x[:, 0] < u.place((1e-9, 0, 0))[0])
@@ -68,12 +69,12 @@ def falling(u, strain="large", moving=True):
 
 def resting(u, size=0.5):
     """A leaning pile with one unique equilibrium: all joints closed, far from slipping."""
-    scene = fdem.Scene(gravity=np.array([0.7, 0.3, -9.81]) * u.acceleration)
+    scene = fdem.Scene(gravity=np.array([0.3, 0.1, -9.81]) * u.acceleration)
     scene.add(u.brick((-2, -2, -0.5), (3, 3, 0)), fdem.Rigid(), name="base", fixed=True)
     scene.add(u.brick((0, 0, 0), (1, 1, 0.6)), fdem.Zoned(size=size * u.length), u.elastic(), name="low")
     scene.add(u.brick((0.1, 0.1, 0.6), (0.9, 0.8, 1.1)), fdem.Rigid(), u.elastic(), name="middle")
     scene.add(u.brick((0.2, 0.1, 1.1), (0.8, 0.8, 1.5)), fdem.Zoned(size=size * u.length), u.elastic(), name="top")
-    scene.joint(u.coulomb(friction=40.0, kn=1e9, ks=7e8, cohesion=0.0))
+    scene.joint(u.coulomb(friction=80.0, kn=1e9, ks=7e8, cohesion=0.0))
     return scene
 
 
@@ -84,7 +85,7 @@ def dimensionless(sim, u):
         "displacement": sim.displacements() / u.length,
         "stress": sim.zone_stresses() / u.stress,
         "force": sim.contact_forces() / u.force,
-        "traction": table["traction"] / u.stress,
+        "point forces": table["force"] / u.force,
         "area": table["area"] / u.length**2,
         "pair": sim.pair_force("low", "base") / u.force,
     }
@@ -140,13 +141,12 @@ POWERS = {
 @pytest.mark.parametrize("integrator", [fdem.Explicit(), fdem.Relaxation()])
 def test_powers_of_two_give_the_same_bits(name, integrator):
     u = POWERS[name]
-    # a speed means nothing in the fictitious time of a Relaxation
-    moving = not isinstance(integrator, fdem.Relaxation)
-    plain, scaled = (simulation(falling(units, moving=moving), integrator) for units in (SI, u))
+    plain, scaled = (simulation(falling(units), integrator) for units in (SI, u))
     for sim in (plain, scaled):
         sim.cycle(400)
     assert np.ptp(plain.contact_table()["gap"]) > 0
-    time, velocity = (u.time, u.velocity) if moving else (1.0, u.length)
+    # a Relaxation has a time of its own
+    time, velocity = (1.0, u.length) if isinstance(integrator, fdem.Relaxation) else (u.time, u.velocity)
     assert scaled.dt == plain.dt * time
     assert scaled.time == plain.time * time
     assert (scaled.positions() == plain.positions() * u.length).all()
@@ -211,9 +211,10 @@ METRIC = {
 
 def settled(u):
     sim = simulation(resting(u), fdem.Relaxation())
+    assert sim.solve(ratio=1e-6).reason == "equilibrium"
+    steps = sim.steps
     report = sim.solve(ratio=1e-10, max_cycles=30_000)
     assert report.reason == "equilibrium", report
-    steps = sim.steps
     sim.cycle(3000)
     return sim, steps
 
@@ -235,7 +236,7 @@ def test_an_equilibrium_does_not_depend_on_the_units(in_metres, name):
     u = METRIC[name]
     sim, steps = settled(u)
     assert_close(dimensionless(sim, u), in_metres[0], 1e-9)
-    assert abs(steps - in_metres[1]) <= 25, "as many steps, up to one look"
+    assert abs(steps - in_metres[1]) <= 0.2 * in_metres[1]
 
 
 def test_an_equilibrium_does_not_depend_on_the_origin(in_metres):
@@ -243,6 +244,7 @@ def test_an_equilibrium_does_not_depend_on_the_origin(in_metres):
     sim = simulation(resting(u), fdem.Relaxation())
     report = sim.solve(ratio=1e-8, max_cycles=30_000)
     assert report.reason == "equilibrium", report
+    sim.cycle(3000)
     result = dimensionless(sim, u)
     assert_close(result, in_metres[0], 1e-6)
     assert sim.positions()[:, 1].min() > 4_599_990
@@ -264,6 +266,13 @@ def test_cuts_and_cracks_at_utm_coordinates_are_those_at_the_origin():
     volumes = [np.array([b.shape.volume for b in s.blocks]) for s in (scene, far_scene)]
     assert_allclose(volumes[1], volumes[0], rtol=1e-6)
     assert_allclose(volumes[1].sum(), 1000.0, rtol=1e-8)
-    tables = [s.contact_table() for s in (sim, far)]
-    print([len(t["gap"]) for t in tables], [np.sort(t["area"])[:12] for t in tables])
-    assert_allclose(far.contact_table()["area"].sum(), sim.contact_table()["area"].sum(), rtol=1e-6)
+    pairs = []
+    for each in (sim, far):
+        # strips beside the faces have no area of their own and come and go with round-off
+        patches = each.system.contacts.patches
+        facing = (patches.flags & FACING) > 0
+        area = each.system.contacts.stiffness(each.state.x)[3][np.repeat(facing, 3)].sum() / 5e8
+        blocks = each.system.contacts.pairs[patches.pair[facing]]
+        pairs.append((area, set(map(tuple, blocks.tolist()))))
+    assert pairs[0][1] == pairs[1][1]
+    assert_allclose(pairs[1][0], pairs[0][0], rtol=1e-6)

@@ -120,6 +120,36 @@ def test_dashpot_is_a_fraction_of_critical_and_does_not_pull():
     assert drive(w, [[0, 0, 0.9e-4]], 1e-7)[-1, 2] == 0.0
 
 
+def pitched(damping, lift=0.0):
+    """Damped cube with a slight pitch, sliding at a constant speed while it moves by `lift` a step; last force."""
+    turned = move(box(1, 1, 1), rotation([0, 1, 0], 2e-5), (0, 0, 0.5 - 1e-4))
+    w = World(
+        [turned, move(box(8, 4, 1), t=(0, 0, -0.5))], law=coulomb(kn=KN, ks=KS, tan=TAN, damping=damping),
+        fixed=[False, True], prune=1e-4,
+    )  # fmt: skip
+    drive(w, [[0, 0, 0]])
+    return w, drive(w, [[1e-4, 0, lift]] * 40, 1e-5)[-1]
+
+
+def test_sliding_along_the_face_is_not_damped():
+    """The dashpot feels the rate of the depth, not the motion along the normal of a pitched slave face."""
+    (_, free), (w, damped) = pitched(0.0), pitched(0.1)
+    np.testing.assert_allclose(damped, free, rtol=1e-12)
+    assert abs(w.contacts.damping_work) < 1e-9 * w.contacts.friction_work
+
+
+@pytest.mark.parametrize("lift", [-1e-6, 1e-6])
+def test_friction_counts_the_dashpot(lift):
+    """Friction over friction coefficient times the normal force really exerted is 1 while sliding."""
+    w, _ = pitched(0.1, lift)
+    c = w.contacts
+    sliding = (c._state == 2) & (c._align > 0.0)
+    assert sliding.any()
+    shear = np.linalg.norm(c._traction[sliding, 1:], axis=1)
+    np.testing.assert_allclose(shear, TAN * c._traction[sliding, 0] * c._align[sliding], rtol=1e-12)
+    assert (np.abs(c._traction[sliding, 0] / -c._gap[sliding] / KN - 1.0) > 1e-3).all()  # the dashpot does work
+
+
 @pytest.mark.parametrize("shape", ["edge", "corner", "edges"])
 def test_friction_capacity_of_unaligned_contacts(shape):
     edge = rotation([0, 1, 0], np.pi / 4)

@@ -144,17 +144,19 @@ class RigidBlocks:
         """Energy ``-sum m g.c`` in the gravity ``g`` [J]."""
         return -float(np.sum(self.mass * (self._q(q)[:, :3] @ np.asarray(g, dtype=np.float64))))
 
-    def frequency_bound(self, q: Array, x: Array, k_gp: Array) -> Array:
+    def frequency_bound(self, q: Array, x: Array, k_gp: Array, joints: Array | None = None) -> Array:
         """Largest ``omega^2`` of every block on the springs ``k_gp`` of its gridpoints.
 
         Parameters
         ----------
         q : (n_q,) array
-            Configuration; not needed, isotropic springs see the same block in every orientation.
+            Configuration; isotropic springs see the same block in every orientation, `joints` do not.
         x : (n_gp, 3) array
             Positions; not needed.
         k_gp : (n_gp,) array
-            Contact stiffness per gridpoint [N/m].
+            Stiffness per gridpoint, the same in all directions [N/m].
+        joints : (n_blocks, 6, 6) array, optional
+            Stiffness against translation and rotation about the centroid, global axes [N/m, N, N m], added.
 
         Returns
         -------
@@ -178,16 +180,20 @@ class RigidBlocks:
         stiffness[:, :3, 3:] = -cross
         stiffness[:, 3:, 3:] = -second
         stiffness[:, 3 + diagonal, 3 + diagonal] += np.trace(second, axis1=1, axis2=2)[:, None]
+        if joints is not None:
+            turn = np.zeros((self.n_blocks, 6, 6))
+            turn[:, :3, :3] = turn[:, 3:, 3:] = self._current_axes(q)
+            stiffness += np.swapaxes(turn, 1, 2) @ joints @ turn
         root = np.sqrt(np.concatenate([np.repeat(self.mass[:, None], 3, axis=1), self.moments], axis=1))
         largest: Array = np.linalg.eigvalsh(stiffness / (root[:, :, None] * root[:, None, :]))[:, -1]
         return np.maximum(largest, 0.0)
 
-    def relaxation_mass(self, q: Array, x: Array, k_gp: Array) -> Array:
+    def relaxation_mass(self, q: Array, x: Array, k_gp: Array, joints: Array | None = None) -> Array:
         """Mass scale of every block for which its largest ``omega`` on the springs ``k_gp`` is 1 rad/s.
 
         Parameters
         ----------
-        q, x, k_gp : array
+        q, x, k_gp, joints : array
             As for `frequency_bound`.
 
         Returns
@@ -196,7 +202,7 @@ class RigidBlocks:
             Factors on mass and inertia, to be given back to `accelerate`. A block without springs gets the largest
             factor of the others (1 if there are none): it falls slowly until it touches something.
         """
-        scale = self.frequency_bound(q, x, k_gp)
+        scale = self.frequency_bound(q, x, k_gp, joints)
         largest = scale.max(initial=0.0)
         return np.where(scale > 0.0, scale, largest if largest > 0.0 else 1.0)
 

@@ -19,7 +19,7 @@ Ints = NDArray[np.int32]
 
 STRIP = 0.02  # -n_a.n_f below which a patch is a side strip: force only
 TRAVEL = 1e-3  # of the square root of the pair's largest patch: motion after which walls are cut anew
-LATENT_TRAVEL = 1e-4  # the same across the face, while side strips are left out
+LATENT_TRAVEL = 1e-4  # of it: least motion into the face before side strips that were left out are looked at again
 
 
 @dataclass
@@ -183,17 +183,22 @@ def cut_pairs(
     np.maximum.at(largest_closed, local, closed)
     # side strips are weighed by what is closed: they exist only as far as the blocks overlap
     keep = np.where(facing, area > prune * largest[local], closed > prune * largest_closed[local]) | (prune <= 0.0)
-    latent = np.zeros(len(which), bool)
-    latent[local[~keep & ~facing]] = True
     nearest = miss.copy()  # the next thing to happen to a pair: a wall reached, or a face that just missed
     np.minimum.at(nearest, local[keep], margin[keep])
     travel = np.sqrt(np.maximum(largest, 1e-6 * np.where(np.isfinite(size), size, 0.0) ** 2))
+    # or a strip that was left out comes to weigh
+    deeper = np.full(n, np.inf)
+    kernels.latent_reach(start, corners, plane_depth - p.offset, area, p.ref_ratio, prune * largest_closed[local], deeper)
+    latent = np.full(len(which), np.inf)
+    out = np.flatnonzero(~keep & ~facing)
+    np.minimum.at(latent, local[out], np.maximum(deeper[out], LATENT_TRAVEL * travel[local[out]]))
     p.reach[:] = (nearest + TRAVEL * travel)[local]
-    p.normal_reach[:] = np.where(latent, LATENT_TRAVEL * travel, np.inf)[local]
+    p.normal_reach[:] = latent[local]
     p.flags[facing] |= kernels.FACING
     empty = np.ones(len(which), bool)
     empty[local[keep]] = False
-    ghosts = _ghosts(s, which, empty, miss_face, nearest, travel, x, p, local, keep)
+    dropped = np.flatnonzero(~keep & empty[local])
+    ghosts = _ghosts(s, which, empty, miss_face, nearest + TRAVEL * travel, x, p, local, dropped, area, depth)
     ids = np.flatnonzero(keep)
     p = p.take(ids)
     thick = s.has_behind[p.face_m]
@@ -204,16 +209,16 @@ def cut_pairs(
 
 
 def _ghosts(
-    s: Surfaces, which: Ints, empty: Any, miss_face: Ints, nearest: Array, travel: Array, x: Array, p: Patches,
-    local: Ints,
-    keep: Any,
+    s: Surfaces, which: Ints, empty: Any, miss_face: Ints, reach: Array, x: Array, p: Patches, local: Ints,
+    dropped: Any, area: Array, depth: Array,
 ) -> Ghosts:  # fmt: skip
-    """One watcher per pair without patches: its nearest miss, or a patch that was dropped."""
-    face = miss_face.copy()
-    reach = nearest + TRAVEL * travel
-    dropped = np.flatnonzero(~keep & empty[local])
-    face[local[dropped], 0], face[local[dropped], 1] = p.face_s[dropped], p.face_m[dropped]
-    reach[local[dropped]] = LATENT_TRAVEL * travel[local[dropped]]
+    """One watcher per pair without patches: its nearest miss, or the patch that was dropped and will close first."""
+    face, reach = miss_face.copy(), reach.copy()
+    largest = np.zeros(len(which))
+    np.maximum.at(largest, local[dropped], area[dropped])
+    order = dropped[np.argsort(depth[dropped], kind="stable")]  # the deepest is written last
+    face[local[order], 0], face[local[order], 1] = p.face_s[order], p.face_m[order]
+    reach[local[order]] = np.maximum(-depth[order], 0.0) + LATENT_TRAVEL * np.sqrt(largest[local[order]])
     ids = np.flatnonzero(empty & (face[:, 0] >= 0))
     gp = np.column_stack([s.ref[face[ids, 0], :3], s.ref[face[ids, 1]]]).astype(np.int32)
     w = np.zeros((3 * len(ids), 7))

@@ -25,6 +25,7 @@ Ints = NDArray[np.int32]
 SHARP_ZONED = 0.9  # cosine above which two zone triangles count as one smooth surface
 SHARP_AFFINE = 1.0 - 1e-12
 DEPTH_FRACTION = 0.25  # of the local thickness: where contact stops being a boundary phenomenon
+LEAST_DEPTH = 0.01  # of the block size: depth admitted even behind a facet at the tip of a wedge
 
 
 @dataclass
@@ -208,13 +209,8 @@ class Surfaces:
         for _ in range(4):  # a triangle beside an acute edge shares the thickness of its plane
             np.maximum.at(self.limit, owner[flat], self.limit[self.neighbour[flat]])
         self.limit *= DEPTH_FRACTION
-        # behind small facets of a surface that is not convex the nearest face is known only near the surface
-        follow = np.arange(len(owner)) + 1
-        follow[self.corner_start[1:] - 1] = self.corner_start[:-1]
-        edge = np.linalg.norm(geo.corner_x[follow] - geo.corner_x, axis=1)
-        shortest = np.minimum.reduceat(edge, self.corner_start[:-1])
-        facet = (self.convex[self.face_block] == 0) & (self.open[self.face_block] == 0)
-        self.limit[facet] = np.minimum(self.limit, DEPTH_FRACTION * shortest)[facet]
+        size = np.where(np.isfinite(self.size), self.size, 0.0)
+        np.maximum(self.limit, LEAST_DEPTH * size[self.face_block], out=self.limit)
 
 
 @dataclass

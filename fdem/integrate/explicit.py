@@ -73,9 +73,8 @@ class Adaptive:
     every: int = field(default=10, init=False, repr=False)
 
     def start(self, system: Any) -> None:
-        """Start without damping."""
-        object.__setattr__(self, "_omega", 0.0)
-        object.__setattr__(self, "_before", None)
+        """Start strongly damped: sudden loads must not make joints slip by rebound."""
+        system.omega, system.force_before = 0.5, None
 
     def kick(self, system: Any, h: float) -> None:
         """Change the velocities by the accelerations over `h` [s]."""
@@ -84,11 +83,11 @@ class Adaptive:
         if phase == self.every - 1 or phase == 0:
             free = f.copy()
             system.constraints.release(free)
-            if phase == 0 and self._before is not None:
-                self._measure(system, self._before - free)
-            object.__setattr__(self, "_before", free if phase else None)
+            if phase == 0 and system.force_before is not None:
+                self._measure(system, system.force_before - free)
+            system.force_before = free if phase else None
         # below the rate at which a step would turn velocities round
-        half = min(self._omega * h, 0.95)
+        half = min(system.omega * h, 0.95)
         v *= (1.0 - half) / (1.0 + half)
         v += h / (1.0 + half) * system.accelerate(f)
 
@@ -97,7 +96,7 @@ class Adaptive:
         system.constraints.release(v)
         twice = system.scaled_kinetic(v)
         if twice > 0.0:
-            object.__setattr__(self, "_omega", float(np.sqrt(max(change @ v, 0.0) / (system.dt * twice))))
+            system.omega = float(np.sqrt(max(change @ v, 0.0) / (system.dt * twice)))
 
 
 @dataclass(frozen=True)
@@ -165,6 +164,11 @@ def _centred(system: Any, h: float, a: np.ndarray, alpha: Any, viscous: np.ndarr
         loss -= h * float(viscous @ middle)
     system.damped += loss
     v[:] = new
+
+
+def _swing(damping: Any) -> float:
+    """Largest factor on a spring's force: local damping adds its share wherever the motion slows down."""
+    return 1.0 + damping.coefficient if isinstance(damping, Local) else 1.0
 
 
 @dataclass
@@ -238,7 +242,7 @@ class Explicit:
         zeta = max(system.model.damping_ratio, 0.5 * rate / omega)
         if isinstance(self.damping, Rayleigh):
             zeta += 0.5 * self.damping.stiffness * omega
-        return 2.0 / omega * (np.sqrt(1.0 + zeta * zeta) - zeta)
+        return 2.0 / omega * (np.sqrt(1.0 + zeta * zeta) - zeta) / np.sqrt(_swing(self.damping))
 
     def step(self, system: Any, dt: float) -> None:
         """One step of `dt` [s]."""
@@ -280,6 +284,6 @@ class Relaxation(Explicit):
 
     def refresh(self, system: Any) -> None:
         """Scale the masses again after contacts have changed."""
-        system.scale_masses()
+        system.scale_masses(_swing(self.damping))
         self.step_length = 2.0 * self.safety
         system.stale = False

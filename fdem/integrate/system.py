@@ -9,6 +9,7 @@ import numpy as np
 
 from fdem.constraints import Constraints
 from fdem.errors import UnstableError
+from fdem.integrate.bounds import joint_stiffness
 from fdem.loads import Bedding, Dashpot, Load
 from fdem.model import Model
 from fdem.state import State
@@ -50,11 +51,14 @@ class System:
         self.rate: Any = alpha  # all mass-proportional damping, that of the integrator included [1/s]
         self.lag = 0.0  # time by which v is behind q: 0 before the first step, then half a step [s]
         self.dt = 0.0  # the last step [s]
+        self.fictitious = False  # masses are scaled: time and velocities have no meaning of their own
         self.work = 0.0
         self.damped = 0.0
         self.scaled: list[Any] = [None] * len(model.batches)
         self.elastic: np.ndarray | None = None  # elastic forces, kept only if a damping asks for them
         self.elastic_old: np.ndarray | None = None
+        self.omega = 0.0  # frequency and forces that `Adaptive` damping goes by
+        self.force_before: np.ndarray | None = None
         self.q0 = state.q.copy()
         self.a = np.zeros_like(state.v)
         self.f_load = np.zeros_like(state.f_gp) if loads else None
@@ -75,7 +79,7 @@ class System:
         """The force terms this scene needs, in order."""
         state, terms = self.state, []
         if self.contacts is not None:
-            terms.append(lambda: self.contacts.forces(state.x, state.x_old, self.dt, state.f_gp))
+            terms.append(lambda: self.contacts.forces(state.x, state.x_old, self._real_dt, state.f_gp))
             if self.model.rigid is not None:
                 terms.append(lambda: self.model.rigid.pull(state.q, state.f_gp, state.f))
         for batch in self.model.batches:
@@ -102,7 +106,7 @@ class System:
         state, total = self.state, self.f_load
         assert total is not None
         total.fill(0.0)
-        if self.xdot is not None:
+        if self.xdot is not None and not self.fictitious:
             for batch in self.model.batches:
                 batch.push(state.q, state.v, self.xdot)
         for load in self.loads:
@@ -178,7 +182,7 @@ class System:
             return self.state.v.copy()
         self.forces()
         self.accelerate(self.state.f)
-        if self.rate is None:
+        if self.rate is None or (self.fictitious and self.rate is self.alpha):
             v = self.state.v + self.lag * self.a
         else:
             half = 0.5 * self.lag * self.rate
@@ -190,14 +194,28 @@ class System:
     def stiffness(self) -> np.ndarray:
         """Contact and bedding stiffness per gridpoint (n_gp,) [N/m], a row-sum bound."""
         model = self.model
-        k = np.zeros(len(model.X))
+        k = self._bedding()
         if self.contacts is not None:
             mobile = ~np.isin(model.gp_block, np.flatnonzero(model.fixed))
             k += self.contacts.potential_k_gp(self.state.x, mobile)
+        return k
+
+    def _bedding(self) -> np.ndarray:
+        k = np.zeros(len(self.model.X))
         for load in self.loads:
             if isinstance(load, Bedding):
                 k[load.gp] += np.linalg.norm(load.matrices, 2, axis=(1, 2))
         return k
+
+    def _springs(self, batch: Any) -> tuple[np.ndarray, ...]:
+        """What bounds the frequencies of a batch: gridpoint stiffness, and the joints of rigid blocks."""
+        model = self.model
+        if batch is not model.rigid or self.contacts is None:
+            return (self.stiffness(),)
+        place = np.where(model.zoned, -1, model.batch_row)
+        centre = self.state.q[batch.coords].reshape(-1, 7)[:, :3]
+        rows = self.contacts.stiffness(self.state.x)
+        return self._bedding(), joint_stiffness(rows, self.state.x, model.gp_block, ~model.fixed, place, centre)
 
     def stiffened(self) -> bool:
         """Whether contact stiffness grew by 1 % anywhere, or halved in all, since the step was last found."""
@@ -209,11 +227,11 @@ class System:
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""
-        model, k, result = self.model, self.stiffness(), np.zeros(self.model.n_blocks)
+        model, result = self.model, np.zeros(self.model.n_blocks)
         for batch, zoned in ((model.rigid, False), (model.deformable, True)):
             if batch is not None:
                 rows = np.flatnonzero((model.batch_row >= 0) & (model.zoned == zoned))
-                result[rows] = batch.frequency_bound(self.state.q, self.state.x, k)
+                result[rows] = batch.frequency_bound(self.state.q, self.state.x, *self._springs(batch))
         result[model.fixed] = 0.0
         return result
 
@@ -231,10 +249,35 @@ class System:
                 rate = max(rate, float((lumped[movable] / self.model.gp_mass[load.gp][movable]).max(initial=0.0)))
         return rate
 
-    def scale_masses(self) -> None:
-        """Replace the masses by fictitious ones for which one unit of time is half the stable step."""
-        k = self.stiffness()
-        self.scaled = [b.relaxation_mass(self.state.q, self.state.x, k) for b in self.model.batches]
+    @property
+    def _real_dt(self) -> float:
+        """The last step [s]; 0 in fictitious time, where dashpots would mix its unit with seconds."""
+        return 0.0 if self.fictitious else self.dt
+
+    def scale_masses(self, swing: float = 1.0) -> None:
+        """Replace the masses by fictitious ones for which one unit of time is half the stable step.
+
+        Parameters
+        ----------
+        swing : float, optional
+            Largest factor by which damping makes a spring stiffer: what bounds rigid blocks is close to their true
+            frequency, and has no reserve for it (the row sums that bound zones have).
+        """
+        self.fictitious = True
+        q, x, model = self.state.q, self.state.x, self.model
+        self.scaled = [b.relaxation_mass(q, x, *self._springs(b)) for b in model.batches]
+        self.scaled = [s * swing if b is model.rigid else s for s, b in zip(self.scaled, model.batches, strict=True)]
+        if self.contacts is not None and model.rigid is not None:
+            self._slow_down_loose_blocks()
+
+    def _slow_down_loose_blocks(self) -> None:
+        """A rigid block that touches nothing yet moves as if on its joint: else it falls through what is below it."""
+        model, batch = self.model, self.model.rigid
+        rows = np.flatnonzero((model.batch_row >= 0) & ~model.zoned)
+        loose = batch.frequency_bound(self.state.q, self.state.x, *self._springs(batch)) == 0.0
+        kn = max(float(law.props[:, 0].max()) for law in self.contacts.laws)
+        joint = kn * model.size[rows[loose]] ** 2 / batch.mass[loose]
+        self.scaled[0][loose] = np.maximum(self.scaled[0][loose], joint)
 
     def scaled_kinetic(self, v: np.ndarray) -> float:
         """``v.M v`` with the fictitious masses."""

@@ -20,6 +20,7 @@ from fdem._jit import kernel
 
 SMOOTH, SHARP, BORDER = 0, 1, 2  # kinds of edges
 SNAP = 1e-13  # of the size: a corner this close to a plane lies on it
+FALSE_DEPTH = 1e-6  # of the size: pieces deeper than this must prove that they lie inside the master
 
 
 @kernel
@@ -444,6 +445,69 @@ def _inside(o, b, face_start, corner_start, corner_x):
 
 
 @kernel
+def _distance2(o, g, corner_start, corner_x, normal):
+    """Square of the distance of the point `o` from the convex polygon g [m^2]."""
+    first, last = corner_start[g], corner_start[g + 1]
+    best = np.inf
+    over = True
+    for c in range(first, last):
+        k = c + 1 if c + 1 < last else first
+        ex, ey, ez = corner_x[k, 0] - corner_x[c, 0], corner_x[k, 1] - corner_x[c, 1], corner_x[k, 2] - corner_x[c, 2]
+        dx, dy, dz = o[0] - corner_x[c, 0], o[1] - corner_x[c, 1], o[2] - corner_x[c, 2]
+        turn = (
+            normal[g, 0] * (ey * dz - ez * dy) + normal[g, 1] * (ez * dx - ex * dz) + normal[g, 2] * (ex * dy - ey * dx)
+        )
+        if turn < 0.0:
+            over = False
+            t = (ex * dx + ey * dy + ez * dz) / (ex * ex + ey * ey + ez * ez)
+            t = min(max(t, 0.0), 1.0)
+            rx, ry, rz = dx - t * ex, dy - t * ey, dz - t * ez
+            best = min(best, rx * rx + ry * ry + rz * rz)
+    if over:
+        d = (
+            normal[g, 0] * (o[0] - corner_x[first, 0])
+            + normal[g, 1] * (o[1] - corner_x[first, 1])
+            + normal[g, 2] * (o[2] - corner_x[first, 2])
+        )
+        best = d * d
+    return best
+
+
+@kernel
+def _owns(f, b, part, n, xs, df, affine, face_start, corner_start, corner_x, normal, lower, upper, o):
+    """Whether the middle of the polygon `part[:n]` lies inside block b, and no face of b is nearer than the plane of f.
+
+    The depth of a cell is at most the distance to the whole surface; faces that count as one smooth surface are
+    compared with a tolerance.
+    """
+    w1, w2 = 0.0, 0.0
+    for i in range(n):
+        w1, w2 = w1 + part[i, 0] / n, w2 + part[i, 1] / n
+    for d in range(3):
+        o[d] = (1.0 - w1 - w2) * xs[0, d] + w1 * xs[1, d] + w2 * xs[2, d]
+    depth = (1.0 - w1 - w2) * df[0] + w1 * df[1] + w2 * df[2]
+    radius = depth * (0.98 if affine else 0.8)
+    r2 = radius * radius
+    alone = True
+    for g in range(face_start[b], face_start[b + 1]):
+        if g == f:
+            continue
+        gap2 = 0.0
+        for d in range(3):
+            gap = max(lower[g, d] - o[d], o[d] - upper[g, d])
+            if gap > 0.0:
+                gap2 += gap * gap
+        if gap2 < depth * depth:
+            d2 = _distance2(o, g, corner_start, corner_x, normal)
+            if d2 < r2:
+                return False
+            alone = alone and d2 > depth * depth
+    if alone and _distance2(o, f, corner_start, corner_x, normal) <= depth * depth * (1.0 + 1e-9):
+        return True  # straight below f and nothing in between
+    return _inside(o, b, face_start, corner_start, corner_x)
+
+
+@kernel
 def clip_pairs(
     slave, master, window, size, max_corners, face_start, corner_start, corner_w, ref, limit, convex, affine, is_open,
     x, corner_x, normal, wall, kind, lower, upper, block_lower, block_upper,
@@ -648,22 +712,30 @@ def clip_pairs(
                     if count == 0:
                         continue
                     low, high = _extremes(bufs[q], count, df[0], df[1], df[2])
+                    check = not convex[m] and not is_open[m]
                     if high > deep:
                         for i in range(count):
                             part[i, 0], part[i, 1] = bufs[q, i, 0], bufs[q, i, 1]
                         rest = _cut(part, count, df[0] - deep, df[1] - deep, df[2] - deep, snap, tmp)
                         if rest > 0 and _ratio(part, rest) * triangle > 1e-12 * size[p] ** 2:
-                            if convex[m]:
+                            if not check or _owns(
+                                f, m, part, rest, xs, df, affine[m], face_start, corner_start, corner_x, normal, lower,
+                                upper, side,
+                            ):
                                 too_deep[p] = 1
-                            else:  # below the slab of f there may be air again
-                                w1, w2 = 0.0, 0.0
-                                for i in range(rest):
-                                    w1, w2 = w1 + part[i, 0] / rest, w2 + part[i, 1] / rest
-                                for d in range(3):
-                                    side[d] = (1.0 - w1 - w2) * xs[0, d] + w1 * xs[1, d] + w2 * xs[2, d]
-                                if is_open[m] or _inside(side, m, face_start, corner_start, corner_x):
-                                    too_deep[p] = 1
                         count = _cut(bufs[q], count, deep - df[0], deep - df[1], deep - df[2], snap, tmp)
+                        high = deep
+                    if check and count > 0 and high > FALSE_DEPTH * size[p]:
+                        for i in range(count):
+                            part[i, 0], part[i, 1] = bufs[q, i, 0], bufs[q, i, 1]
+                        low = 0.5 * high
+                        rest = _cut(part, count, df[0] - low, df[1] - low, df[2] - low, snap, tmp)
+                        if rest > 0 and not _owns(
+                            f, m, part, rest, xs, df, affine[m], face_start, corner_start, corner_x, normal, lower,
+                            upper, side,
+                        ):  # behind f there is air again, or another face is nearer
+                            count = _cut(bufs[q], count, -df[0], -df[1], -df[2], snap, tmp)
+                            margin = 0.0
                     if count == 0 or not _ratio(bufs[q], count) * triangle > 1e-12 * size[p] * size[p]:
                         continue
                     if n_out == cap:

@@ -39,26 +39,73 @@ OPEN, SLIPPING, CLOSED, INTACT = 3, 2, 1, 0
 
 
 @kernel
+def _in_plane(s0, s1, s2, nx, ny, nz):
+    """Vector turned into the plane across (nx, ny, nz) at its length."""
+    along = s0 * nx + s1 * ny + s2 * nz
+    length = s0 * s0 + s1 * s1 + s2 * s2
+    if along != 0.0:
+        s0, s1, s2 = s0 - along * nx, s1 - along * ny, s2 - along * nz
+        if along * along > 1e-24 * length:  # below, the length is the same to the last bits
+            flat = s0 * s0 + s1 * s1 + s2 * s2
+            if flat > 0.0:
+                scale = math.sqrt(length / flat)
+                s0, s1, s2 = s0 * scale, s1 * scale, s2 * scale
+    return s0, s1, s2
+
+
+@kernel
+def _slide(s0, s1, s2, d0, d1, d2, most):
+    """Elastic slip after the slip (d0, d1, d2), no longer than `most`; released length^2 and length slid.
+
+    A cone that shrank releases energy first; then the slip of the step works against the cone.
+    """
+    released, plastic = 0.0, 0.0
+    old = s0 * s0 + s1 * s1 + s2 * s2
+    if old > most * most:
+        released = old - most * most
+        shrink = most / math.sqrt(old)
+        s0, s1, s2 = s0 * shrink, s1 * shrink, s2 * shrink
+    s0, s1, s2 = s0 + d0, s1 + d1, s2 + d2
+    trial = s0 * s0 + s1 * s1 + s2 * s2
+    if trial > most * most:
+        trial = math.sqrt(trial)
+        plastic = trial - most
+        shrink = most / trial
+        s0, s1, s2 = s0 * shrink, s1 * shrink, s2 * shrink
+    return s0, s1, s2, released, plastic
+
+
+@kernel
 def coulomb(
     lo, hi, dt, gap, push, slip, normal, align, area, mass, prop, props, memory_old, memory, traction, work, state
 ):  # fmt: skip
-    """Linear stiffness, friction cone, cohesion and tension until failure, dilation, damping (see top of file)."""
+    """Linear stiffness, friction cone, cohesion and tension until failure, dilation, damping (see top of file).
+
+    The dashpot resists the rate of the depth, the motion along `normal`: sliding along the face closes nothing, however
+    the slave's face is pitched. Its pressure counts for friction; both together do not pull.
+    """
+    last = -1
+    kn, ks, peak, cohesion, tension, give = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    residual, residual_cohesion, damping, dilation, dilation_limit = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(lo, hi):
         if area[i] == 0.0:
             state[i] = OPEN
             continue
-        j = prop[i // 3]
-        kn, ks, peak, cohesion, tension = props[j, 0], props[j, 1], props[j, 2], props[j, 3], props[j, 4]
-        dilation, dilation_limit = props[j, 5], props[j, 6]
-        residual, residual_cohesion, damping = props[j, 7], props[j, 8], props[j, 9]
-        for k in range(memory.shape[1]):
-            memory[i, k] = memory_old[i, k]
-        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
-        a = area[i]
+        q = i // 3
+        j = prop[q]
+        if j != last:
+            last = j
+            kn, ks, peak, cohesion, tension = props[j, 0], props[j, 1], props[j, 2], props[j, 3], props[j, 4]
+            dilation, dilation_limit = props[j, 5], props[j, 6]
+            residual, residual_cohesion, damping = props[j, 7], props[j, 8], props[j, 9]
+            give = 1.0 / ks if ks > 0.0 else 0.0
+        a, facing = area[i], align[i]
         p = -kn * gap[i]
-        intact = memory_old[i, 3] > 0.0
         s0, s1, s2 = memory_old[i, 0], memory_old[i, 1], memory_old[i, 2]
-        work[i, 0], work[i, 1] = 0.0, 0.0
+        intact = memory_old[i, 3] > 0.0
+        for k in range(3, memory.shape[1]):
+            memory[i, k] = memory_old[i, k]
+        work[i, 1] = 0.0
         if p < 0.0 and (not intact or p < -tension):
             # the rest of the elastic energy is lost with the contact
             work[i, 0] = 0.5 * a * ks * (s0 * s0 + s1 * s1 + s2 * s2)
@@ -68,65 +115,48 @@ def coulomb(
             traction[i, 0], traction[i, 1], traction[i, 2], traction[i, 3] = 0.0, 0.0, 0.0, 0.0
             state[i] = OPEN
             continue
-        # elastic slip stays in the plane of the frame and keeps its length when the frame turns
-        along = s0 * nx + s1 * ny + s2 * nz
-        length = s0 * s0 + s1 * s1 + s2 * s2
-        if along != 0.0:
-            s0, s1, s2 = s0 - along * nx, s1 - along * ny, s2 - along * nz
-            flat = s0 * s0 + s1 * s1 + s2 * s2
-            if flat > 0.0:
-                scale = math.sqrt(length / flat)
-                s0, s1, s2 = s0 * scale, s1 * scale, s2 * scale
-        if intact:
-            limit = cohesion + peak * p * align[i]
-        else:
-            limit = residual_cohesion + residual * p * align[i]
-        limit = max(limit, 0.0)
-        if align[i] == 0.0:
-            limit = 0.0
+        work[i, 0] = 0.0
+        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
+        s0, s1, s2 = _in_plane(s0, s1, s2, nx, ny, nz)
         d0, d1, d2 = slip[i, 0], slip[i, 1], slip[i, 2]
         along = d0 * nx + d1 * ny + d2 * nz
-        d0, d1, d2 = d0 - along * nx, d1 - along * ny, d2 - along * nz
+        extra = 0.0
+        if damping > 0.0 and dt > 0.0:
+            extra = max(-2.0 * damping * math.sqrt(kn * mass[i]) * along / dt, min(p, 0.0) - p)
+        limit = max(residual_cohesion + residual * (p + extra) * facing, 0.0) if facing > 0.0 else 0.0
+        e0, e1, e2 = d0 - along * nx, d1 - along * ny, d2 - along * nz
         state[i] = CLOSED
         if intact:
-            t0, t1, t2 = s0 + d0, s1 + d1, s2 + d2
-            if ks * math.sqrt(t0 * t0 + t1 * t1 + t2 * t2) > limit:
+            t0, t1, t2 = s0 + e0, s1 + e1, s2 + e2
+            strength = max(cohesion + peak * (p + extra) * facing, 0.0) if facing > 0.0 else 0.0
+            if ks * ks * (t0 * t0 + t1 * t1 + t2 * t2) > strength * strength:
                 memory[i, 3] = 0.0
-                limit = max(residual_cohesion + residual * max(p, 0.0) * align[i], 0.0)
-                p = max(p, 0.0)
-            elif cohesion > 0.0 or tension > 0.0:
-                state[i] = INTACT
+                if p + extra < 0.0:
+                    p, extra = 0.0, 0.0
+                elif p < 0.0:
+                    p, extra = 0.0, p + extra
+                limit = max(residual_cohesion + residual * (p + extra) * facing, 0.0) if facing > 0.0 else 0.0
+            else:
+                limit = strength
+                if cohesion > 0.0 or tension > 0.0:
+                    state[i] = INTACT
         if limit < math.inf:
-            # a cone that shrank releases energy first; then the slip of the step works against the cone
-            old = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
-            most = limit / ks if ks > 0.0 else 0.0
-            if old > most:
-                work[i, 0] += 0.5 * a * ks * (old * old - most * most)
-                s0, s1, s2 = s0 * (most / old), s1 * (most / old), s2 * (most / old)
-            s0, s1, s2 = s0 + d0, s1 + d1, s2 + d2
-            trial = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
-            if trial > most:
+            s0, s1, s2, released, plastic = _slide(s0, s1, s2, e0, e1, e2, limit * give)
+            work[i, 0] = 0.5 * a * ks * released
+            if plastic > 0.0:
                 state[i] = SLIPPING
-                plastic = trial - most
                 widened = 0.0
                 if dilation > 0.0 and memory[i, 4] < dilation_limit and p > 0.0:
                     widened = dilation * min(plastic, dilation_limit - memory[i, 4])
                     memory[i, 5] += widened
                 work[i, 0] += a * (limit * plastic - p * widened)
                 memory[i, 4] += plastic
-                s0, s1, s2 = s0 * (most / trial), s1 * (most / trial), s2 * (most / trial)
         else:
-            s0, s1, s2 = s0 + d0, s1 + d1, s2 + d2
+            s0, s1, s2 = s0 + e0, s1 + e1, s2 + e2
         memory[i, 0], memory[i, 1], memory[i, 2] = s0, s1, s2
-        if damping > 0.0 and dt > 0.0:
-            q = i // 3
-            closing = slip[i, 0] * push[q, 0] + slip[i, 1] * push[q, 1] + slip[i, 2] * push[q, 2]
-            extra = 2.0 * damping * math.sqrt(kn * mass[i]) * closing / dt
-            if p + extra < min(p, 0.0):  # a dashpot does not pull
-                extra = min(p, 0.0) - p
-            p += extra
-            work[i, 1] = a * extra * closing
-        traction[i, 0] = p
+        if extra != 0.0:
+            work[i, 1] = a * extra * (d0 * push[q, 0] + d1 * push[q, 1] + d2 * push[q, 2])
+        traction[i, 0] = p + extra
         traction[i, 1], traction[i, 2], traction[i, 3] = -ks * s0, -ks * s1, -ks * s2
 
 

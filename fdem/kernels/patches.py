@@ -129,6 +129,40 @@ def measure(gp, start, corners, offset, x, area, closed, align, depth, plane_dep
 
 
 @kernel
+def latent_reach(start, corners, depth, area, ratio, level, out):
+    """How much deeper [m] patches must get until `level` (n,) [m2] of them is closed; infinite if that cannot be.
+
+    `depth` (n, 3) [m] is taken at the reference gridpoints, `area` (n,) [m2] and `ratio` are those of the whole polygons.
+    Bisection to 10 %, on the safe side.
+    """
+    longest = 3
+    for i in range(len(out)):
+        longest = max(longest, start[i + 1] - start[i])
+    poly, pts = np.empty((2 * longest + 2, 2)), np.empty((3, 2))
+    for i in range(len(out)):
+        if not area[i] > level[i]:
+            out[i] = np.inf
+            continue
+        low, high = np.inf, -np.inf
+        for k in range(start[i], start[i + 1]):
+            w1, w2 = corners[k, 0], corners[k, 1]
+            v = depth[i, 0] * (1.0 - w1 - w2) + depth[i, 1] * w1 + depth[i, 2] * w2
+            low, high = min(low, v), max(high, v)
+        near, far = max(-high, 0.0), max(-low, 0.0)
+        if level[i] > 0.0:
+            while far - near > 0.1 * near and far - near > 1e-9 * (high - low):
+                half = 0.5 * (near + far)
+                d0, d1, d2 = depth[i, 0] + half, depth[i, 1] + half, depth[i, 2] + half
+                n = _close(corners, start[i], start[i + 1], d0, d1, d2, poly)
+                part = _moment_points(poly, n, pts) if n >= 3 else 0.0
+                if part * area[i] > level[i] * ratio[i]:
+                    far = half
+                else:
+                    near = half
+        out[i] = near
+
+
+@kernel
 def _two_normals(g, x, out):
     """Unit normals of slave (0:3) and master face (3:6); returns twice the area of the slave's triangle."""
     double = 0.0
@@ -484,7 +518,7 @@ def worn_pairs(gp, pair, w, reach, normal_reach, x, out):
     """Mark pairs (n_pairs,) uint8 one of whose patches moved further than the clip allows.
 
     `w` (3 n, 7) are the row weights at the clip, so that ``sum w x`` is the motion since; `reach` (n,) [m] bounds its
-    length, `normal_reach` (n,) its part across the master face.
+    length, `normal_reach` (n,) how far it goes into the master face.
     """
     frame = np.empty(6)
     for i in range(len(gp)):
@@ -499,7 +533,7 @@ def worn_pairs(gp, pair, w, reach, normal_reach, x, out):
                     v += w[q, k] * x[gp[i, k], d]
                 s += v * v
                 across += v * frame[3 + d]
-            if not s <= reach[i] * reach[i] or abs(across) > normal_reach[i]:
+            if not s <= reach[i] * reach[i] or -across > normal_reach[i]:
                 out[pair[i]] = 1
 
 

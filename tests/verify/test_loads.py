@@ -125,7 +125,7 @@ def test_pressure_follows_the_face():
     scene.apply(fdem.Velocity((0, 0, 0), angular=spin), block)
     face = scene.apply(fdem.Pressure(7.0), block, where=plane(0, 1.0))
     around = scene.apply(fdem.Pressure(7.0), block)
-    sim = make(scene, fdem.Explicit(dt=1e-3), energy=False)
+    sim = make(scene, fdem.Explicit(dt=1e-3))
     np.testing.assert_allclose(sim[face].force, [-42, 0, 0], atol=1e-11)
     sim.run(time=1.0)
     # a quarter of a turn by exact rotations of 1e-3 each; Velocity turns by its constant rate: round-off
