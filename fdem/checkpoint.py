@@ -270,7 +270,8 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
 def _same_blocks(have: list[str], wanted: list[str]) -> None:
     if have != wanted:
         other = sorted(set(have) ^ set(wanted))
-        raise CheckpointError(f"load: the scene has other blocks than the file: {', '.join(other[:5]) or 'in another order'}")
+        which = ", ".join(other[:5]) or "in another order"
+        raise CheckpointError(f"load: the scene has other blocks than the file: {which}")
 
 
 def digests(model: Model) -> list[int]:
@@ -289,7 +290,9 @@ def _restore_loads(head: dict[str, Any], sim: Simulation) -> None:
         if factor != "callable":
             sim._applied[handle].factor = factor
         elif not callable(handle.factor):
-            raise CheckpointError(f"load: the factor of {handle.load!r} was a function; the scene gives {handle.factor!r}")
+            raise CheckpointError(
+                f"load: the factor of {handle.load!r} was a callable; the scene gives {handle.factor!r}"
+            )
     for entry in head["loads"]:
         missing = [key for key in ("class", "where", "factor") if entry[key] == "callable"]
         missing += [key for key, value in entry["fields"].items() if value == "callable"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from inspect import signature
@@ -14,7 +15,7 @@ import numpy as np
 from fdem import checkpoint
 from fdem.compile import Compiled, compile_scene
 from fdem.contact import carry
-from fdem.errors import SceneError
+from fdem.errors import FdemWarning, SceneError
 from fdem.integrate.explicit import Explicit, Relaxation
 from fdem.integrate.system import System
 from fdem.loads import Release
@@ -205,6 +206,7 @@ class Simulation(Readout):
 
     def _check_energy(self) -> None:
         """Refuse energy that grows; a load that sets in looks like it for a step, so it must go on growing."""
+        assert self.ledger is not None
         entry, suspect = self.energy, self._suspect
         if not (entry.error > 0.5 * self.ledger.turned and entry.closure > 0.0):
             self._suspect = None
@@ -222,13 +224,15 @@ class Simulation(Readout):
         """Advance by `n` steps."""
         if not isinstance(n, (int, np.integer)) or n < 0:
             raise SceneError(f"cycle: n = {n!r}, allowed is a whole number >= 0")
+        if not np.isfinite(self.dt):
+            raise SceneError("cycle: nothing limits the step; give Explicit a dt, or use run(time)")
         self._steps(int(n))
 
     def run(self, time: float) -> None:
         """Advance by `time` [s]; the last steps are shortened to end there."""
         number("run", "time", time, low=0.0)
         if not np.isfinite(self.dt):
-            self.integrator.step_length = time / 1000.0  # nothing limits the step: free flight
+            self.integrator.step_length = time / 1000.0  # nothing limits the step: at rest, in free flight
         self._steps(2**62, self.state.t + float(time))
 
     def solve(self, ratio: float = 1e-5, max_cycles: int = 200_000) -> Report:
@@ -305,7 +309,17 @@ class Simulation(Readout):
             raise SceneError(f"excavate: target {target!r} selects no block that is still there")
         release = [self._tractions_of(gone, int(over))] if over else []
         self._rebuild(removed=self._removed | frozenset(gone), release=release)
+        self._end_histories()
         return gone
+
+    def _end_histories(self) -> None:
+        """Histories of blocks that are gone, or of groups that shrank, keep what they have and record no more."""
+        for history in [o for o in self._observers if isinstance(o, History)]:
+            try:
+                history.record(self)
+            except SceneError as error:
+                self._observers.remove(history)
+                warnings.warn(f"history {history.name!r} ends here: {error}", FdemWarning, stacklevel=3)
 
     def _tractions_of(self, gone: list[str], over: int) -> tuple[np.ndarray, np.ndarray, int, int]:
         """Gridpoint forces that the blocks `gone` exert on the others."""

@@ -53,7 +53,10 @@ TWELVE = {
     "dt = 0": (lambda: fdem.Explicit(dt=0.0), r"dt = 0\.0"),
     "dt < 0": (lambda: fdem.Explicit(dt=-1e-3), r"dt = -0\.001"),
     "empty mesh": (lambda: fdem.polyhedron([], []), "empty mesh"),
-    "duplicate node": (lambda: fdem.polyhedron(with_row(CUBE, 3, CUBE[1]), FACES), r"points\[1\].*points\[3\]|duplicate"),
+    "duplicate node": (
+        lambda: fdem.polyhedron(with_row(CUBE, 3, CUBE[1]), FACES),
+        r"points\[1\].*points\[3\]|duplicate",
+    ),
     "face index out of range": (lambda: fdem.polyhedron(CUBE, [*FACES[:-1], [1, 5, 8, 3]]), r"faces\[5\]"),
     "non-closed polyhedron": (lambda: fdem.polyhedron(CUBE, FACES[:-1]), "open at edge"),
     "material missing": (lambda: scene_of(body=fdem.Zoned(), material=None), "'cube'.*material"),

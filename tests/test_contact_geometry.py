@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from contact_tools import World, box, coulomb, grid_box, move, prism, rotation, triangulated
 
+import fdem
 from fdem.contact import contacts as contacts_module
+from fdem.contact.narrow import cut_pairs
 from fdem.errors import OverlapError, SceneError
 from fdem.kernels import patches as kernels
+from fdem.scene.meshing import zone_meshes
 
 KN = 1e9
 ORACLE = Path(__file__).resolve().parents[2] / "shared" / "oracle" / "data" / "contact_energy.json"
@@ -281,3 +284,80 @@ def test_moment_points_are_exact_to_degree_two():
 def _cross(tri):
     a, b = tri[1] - tri[0], tri[2] - tri[0]
     return a[0] * b[1] - a[1] * b[0]
+
+
+def _pieces(*cutters, half=1.0):
+    """Blocks that a cube is cut into: they touch everywhere, and form the cube again."""
+    blocks = [fdem.brick((-half,) * 3, (half,) * 3)]
+    for cutter in cutters:
+        blocks = fdem.cut(blocks, cutter)
+    return blocks
+
+
+def _surface(shape, zoned):
+    if not zoned:
+        return shape.points, [loop.tolist() for loop in shape.faces]
+    mesh = zone_meshes([shape], [zoned])[0]
+    used, triangles = np.unique(mesh.triangles, return_inverse=True)
+    return mesh.points[used], triangles.reshape(-1, 3).tolist()
+
+
+def _touching(monkeypatch, surfaces, affine):
+    """Deepest contact and, per block, the area of facing patches missing from its surface inside the hull of all."""
+    cuts = []
+
+    def recorded(s, geometry, which, slave, master, *rest):
+        cuts.append((cut_pairs(s, geometry, which, slave, master, *rest), s, geometry, slave, master))
+        return cuts[-1][0]
+
+    monkeypatch.setattr(contacts_module, "cut_pairs", recorded)
+    World(surfaces, affine=affine)
+    cut, s, geometry, slave, master = cuts[0]
+    p = cut.patches
+    loops = np.split(geometry.corner_x, s.corner_start[1:-1])
+    area = np.array([0.5 * np.linalg.norm(np.cross(q[1:-1] - q[0], q[2:] - q[0]).sum(axis=0)) for q in loops])
+    low, high = geometry.corner_x.min(axis=0), geometry.corner_x.max(axis=0)
+    outer = np.array([((np.abs(q - low) < 1e-9).all(0) | (np.abs(q - high) < 1e-9).all(0)).any() for q in loops])
+    missing = np.bincount(s.face_block, np.where(outer, 0.0, area))
+    on = (cut.align > 0.99) & (np.abs(cut.plane_depth).max(axis=1) < 1e-9)
+    for side in (slave, master):
+        missing -= np.bincount(side[p.pair[on]], cut.area[on], minlength=s.n_blocks)
+    return cut.depth.max(), missing
+
+
+NOTCHES = {
+    "L": [[-2, -2], [2, -2], [2, 0.2], [0.1, 0.2], [0.1, 2], [-2, 2]],
+    "U": [[-2, -2], [2, -2], [2, 2], [0.6, 2], [0.6, -0.3], [-0.5, -0.3], [-0.5, 2], [-2, 2]],
+    "wedge": [[-2, -2], [2, -2], [2, 2], [0.1, 2], [0, -0.9], [-0.1, 2], [-2, 2]],
+    "tunnel": [[-0.3, -0.3], [0.3, -0.3], [0.3, 0.3], [-0.3, 0.3]],
+}
+
+
+@pytest.mark.parametrize("zoned", [None, 0.5])
+@pytest.mark.parametrize("name", NOTCHES)
+def test_nonconvex_blocks_touch_their_neighbours_everywhere_and_overlap_nowhere(monkeypatch, name, zoned):
+    lift = np.eye(4)
+    lift[2, 3] = -2.0
+    cutter = fdem.prism(NOTCHES[name], 4.0, axis="z").transform(lift)
+    shapes = _pieces(cutter, fdem.JointSet(12.0, 30.0, origin=(0, 0, 0.13)))
+    assert any(not shape.is_convex for shape in shapes)
+    depth, missing = _touching(monkeypatch, [_surface(s, zoned) for s in shapes], [zoned is None] * len(shapes))
+    assert depth < 1e-9
+    assert np.abs(missing).max() < 1e-9
+
+
+@pytest.mark.parametrize("zoned", [None, 0.7])
+@pytest.mark.parametrize("seed", [1, 2, 4])
+def test_rock_cut_by_joints_and_a_tunnel_has_no_false_contact(monkeypatch, seed, zoned):
+    origin = np.random.default_rng(seed).uniform(-0.3, 0.3, (3, 3))
+    arc = np.linspace(0.0, np.pi, 7)
+    along = np.eye(4)
+    along[1, 3] = -2.0
+    profile = np.vstack([0.4 * np.column_stack([np.cos(arc), np.sin(arc)]), [[-0.4, -0.3], [0.4, -0.3]]])
+    tunnel = fdem.prism(profile, 4.0, axis="y").transform(along)
+    sets = ((70, 11, 0.9), (85, 119, 1.0), (55, 237, 0.9))
+    shapes = _pieces(*(fdem.JointSet(*s, origin=o) for s, o in zip(sets, origin, strict=True)), tunnel)
+    depth, missing = _touching(monkeypatch, [_surface(s, zoned) for s in shapes], [zoned is None] * len(shapes))
+    assert any(not shape.is_convex for shape in shapes)
+    assert depth < 1e-9
+    assert np.abs(missing).max() < 1e-9

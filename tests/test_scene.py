@@ -100,12 +100,10 @@ def two_group_mesh():
     z = points[faces][:, :, 2]
     base = faces[(z == 0.0).all(axis=1)]
     seam = np.unique(np.sort(faces[(z == 0.5).all(axis=1)], axis=1), axis=0)
-    return meshio.Mesh(
-        points,
-        [("tetra", tets[~high]), ("tetra", tets[high]), ("triangle", base), ("triangle", seam)],
-        cell_data={"gmsh:physical": [np.full(n, i) for i, n in ((1, (~high).sum()), (2, high.sum()), (3, len(base)), (4, len(seam)))]},
-        field_data={"low": [1, 3], "high": [2, 3], "base": [3, 2], "seam": [4, 2]},
-    )  # fmt: skip
+    cells = [("tetra", tets[~high]), ("tetra", tets[high]), ("triangle", base), ("triangle", seam)]
+    physical = [np.full(len(rows), i) for i, (_, rows) in enumerate(cells, start=1)]
+    tags = {"low": [1, 3], "high": [2, 3], "base": [3, 2], "seam": [4, 2]}
+    return meshio.Mesh(points, cells, cell_data={"gmsh:physical": physical}, field_data=tags)
 
 
 def test_a_mesh_tag_selects_faces():
@@ -114,7 +112,9 @@ def test_a_mesh_tag_selects_faces():
     scene.joint(law(), "seam")
     sim = fdem.Simulation(scene, fdem.Explicit())
     assert_allclose(sim[load].force, [0, 0, -1e6], rtol=1e-12)
-    assert np.isin(np.flatnonzero(np.abs(sim.system.f_load).sum(axis=1)), np.flatnonzero(sim.positions()[:, 2] < 1e-12)).all()
+    assert np.isin(
+        np.flatnonzero(np.abs(sim.system.f_load).sum(axis=1)), np.flatnonzero(sim.positions()[:, 2] < 1e-12)
+    ).all()
 
 
 def test_from_mesh_takes_bodies_and_materials_by_group_pattern():
@@ -223,21 +223,21 @@ def test_a_where_that_selects_nothing_is_refused_before_the_first_step():
 def test_names_that_clash_are_refused():
     scene, _ = row_of_cubes()
     brick = fdem.brick((10, 0, 0), (11, 1, 1))
-    with pytest.raises(fdem.SceneError, match="'a'.*exists"):
+    with pytest.raises(fdem.SceneError, match=r"'a'.*exists"):
         scene.add(brick, fdem.Rigid(), ROCK, name="a")
-    with pytest.raises(fdem.SceneError, match="'left'.*group"):
+    with pytest.raises(fdem.SceneError, match=r"'left'.*group"):
         scene.add(brick, fdem.Rigid(), ROCK, name="left")
-    with pytest.raises(fdem.SceneError, match="'a'.*block"):
+    with pytest.raises(fdem.SceneError, match=r"'a'.*block"):
         scene.add(brick, fdem.Rigid(), ROCK, group="a")
-    with pytest.raises(fdem.SceneError, match="'left'.*group"):
+    with pytest.raises(fdem.SceneError, match=r"'left'.*group"):
         scene.cut(fdem.JointSet(0, 0, origin=(0, 0, 0.5), name="left"))
-    with pytest.raises(fdem.SceneError, match="'b'.*block"):
+    with pytest.raises(fdem.SceneError, match=r"'b'.*block"):
         scene.cut(fdem.JointSet(0, 0, origin=(0, 0, 0.5), name="b"))
     assert len(scene.blocks) == 4, "what was refused left nothing behind"
     scene.cut(fdem.JointSet(0, 0, origin=(0, 0, 0.5), name="J"))
-    with pytest.raises(fdem.SceneError, match="'J'.*joint set"):
+    with pytest.raises(fdem.SceneError, match=r"'J'.*joint set"):
         scene.add(brick, fdem.Rigid(), ROCK, group="J")
-    with pytest.raises(fdem.SceneError, match="'J'.*joint set"):
+    with pytest.raises(fdem.SceneError, match=r"'J'.*joint set"):
         scene.blocks[0].group = "J"
     assert scene.blocks[0].group == "left"
 
@@ -259,7 +259,7 @@ def test_a_refused_cut_leaves_its_name_free():
 
 def test_a_tag_of_a_mesh_clashes_too():
     scene = fdem.Scene.from_mesh(two_group_mesh(), fdem.Zoned(), ROCK, split="seam")
-    with pytest.raises(fdem.SceneError, match="'base'.*tag"):
+    with pytest.raises(fdem.SceneError, match=r"'base'.*tag"):
         scene.add(fdem.brick((10, 0, 0), (11, 1, 1)), fdem.Rigid(), ROCK, name="base")
 
 
@@ -314,7 +314,7 @@ def test_fields_of_a_block_can_be_assigned():
 
 
 def test_wrong_assignments_are_refused_and_change_nothing():
-    scene, (a, *_) = row_of_cubes()
+    _, (a, *_) = row_of_cubes()
     for field, value, message in (
         ("body", "rigid", "body"),
         ("material", 2500, "material"),
@@ -332,7 +332,7 @@ def test_wrong_assignments_are_refused_and_change_nothing():
 
 
 def test_a_handle_means_all_its_pieces_after_cuts():
-    scene, (a, b, c, d) = row_of_cubes()
+    scene, (a, b, *_) = row_of_cubes()
     scene.cut(fdem.JointSet(0, 0, origin=(0, 0, 0.5), name="bed"), target=[a, b])
     pieces = scene.cut(fdem.JointSet(90, 0, origin=(0, 0.5, 0), name="cross"), target=a)
     assert len(pieces) == 4
@@ -458,7 +458,7 @@ def test_a_joint_set_means_contacts_between_faces_it_made():
 def test_groups_that_touch_without_a_law_raise_and_are_named():
     scene, _ = row_of_cubes()
     scene.joint(law(), between=("left", "left"))
-    with pytest.raises(fdem.JointError, match="'b' and 'c'|'c' and 'd'"):
+    with pytest.raises(fdem.JointError, match=r"'b' and 'c'|'c' and 'd'"):
         fdem.Simulation(scene, fdem.Explicit())
     scene, _ = row_of_cubes()
     with pytest.raises(fdem.JointError, match="no joint"):

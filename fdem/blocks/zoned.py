@@ -148,6 +148,8 @@ class ZonedBlocks:
         self.centroid = np.add.reduceat(centre, self.zone_start[:-1], axis=0) / self.block_mass[:, None]
         exact = block_moments(self.X, self._nodes, zone_mass, self.zone_start, self.centroid)
         lumped = lumped_moments(self.X, self.gp_mass, self._start, self.centroid)
+        self._inverse_mass = np.repeat(1.0 / self.gp_mass, 3)  # flat: a product of (n, 3) and (n, 1) is much slower
+        self._motion = np.empty(3 * n)
         matched = np.flatnonzero(chosen == "inertia-matched")
         self._matched = matched
         self._correction: InertiaCorrection | None = None
@@ -165,10 +167,9 @@ class ZonedBlocks:
 
     def place(self, q: Array, x: Array) -> None:
         """Write positions (n_gp, 3) of this batch's gridpoints: q itself."""
-        target = x[self.gridpoints]
-        source = q[self.coords].reshape(-1, 3)
-        if not np.shares_memory(target, source):
-            target[:] = source
+        target, source = x[self.gridpoints], q[self.coords]
+        if not np.may_share_memory(target, source):
+            target[:] = source.reshape(-1, 3)
 
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write velocities of gridpoints (n_gp, 3) [m/s]."""
@@ -180,7 +181,8 @@ class ZonedBlocks:
 
     def advance(self, q: Array, v: Array, dt: float) -> None:
         """``q += dt v``."""
-        q[self.coords] += dt * v[self.dofs]
+        np.multiply(v[self.dofs], dt, out=self._motion)
+        q[self.coords] += self._motion
 
     # forces
 
@@ -196,13 +198,13 @@ class ZonedBlocks:
 
     def accelerate(self, q: Array, f: Array, a: Array, scaled: Array | None = None) -> None:
         """Write ``a = M^-1 f``; `scaled` (n,) replaces the masses [kg] (relaxation)."""
-        force, result = f[self.dofs].reshape(-1, 3), a[self.dofs].reshape(-1, 3)
+        force, result = f[self.dofs], a[self.dofs]
         if scaled is not None:
-            np.divide(force, scaled[:, None], out=result)
+            np.divide(force.reshape(-1, 3), scaled[:, None], out=result.reshape(-1, 3))
             return
-        np.divide(force, self.gp_mass[:, None], out=result)
+        np.multiply(force, self._inverse_mass, out=result)
         if self._correction is not None:
-            self._correction.add_inverse(force, result)
+            self._correction.add_inverse(force.reshape(-1, 3), result.reshape(-1, 3))
 
     def multiply_mass(self, v: Array) -> Array:
         """Return M v (n, 3) for velocities or accelerations v (n, 3) of this batch."""

@@ -39,6 +39,8 @@ class Selector:
     def nearest(self, handle: Gridpoint) -> int:
         """Gridpoint nearest to the handle's place."""
         blocks = self.blocks(handle.target, "gridpoint")
+        if not blocks:
+            raise SceneError(f"gridpoint near {handle.near}: all blocks of {handle.target!r} have been removed")
         gp = np.concatenate([np.arange(*self.model.gp_range[b]) for b in blocks])
         distance = np.linalg.norm(self.model.X[gp] + self.model.origin - handle.near, axis=1)
         return int(gp[np.argmin(distance)])

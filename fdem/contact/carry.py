@@ -41,14 +41,14 @@ def adopt(new: Contacts, old: Contacts, rows: Any, gp_number: Any, x: Array) -> 
     """
     block = np.full(old.surfaces.n_blocks, -1, dtype=np.int64)
     block[rows[:, 0]] = rows[:, 1]
-    faces = np.diff(old.surfaces.face_start)[rows[:, 0]]
-    if (faces != np.diff(new.surfaces.face_start)[rows[:, 1]]).any():
-        worst = rows[int(np.argmax(faces != np.diff(new.surfaces.face_start)[rows[:, 1]])), 1]
+    other = np.not_equal(np.diff(old.surfaces.face_start)[rows[:, 0]], np.diff(new.surfaces.face_start)[rows[:, 1]])
+    if other.any():
+        worst = rows[int(np.argmax(other)), 1]
         raise CheckpointError(f"block {new.names[worst]!r} has other faces than the state it should take over")
     shift = np.zeros(old.surfaces.n_blocks, dtype=np.int64)
     shift[rows[:, 0]] = new.surfaces.face_start[rows[:, 1]] - old.surfaces.face_start[rows[:, 0]]
     pairs = block[old.pairs]
-    keep = (pairs >= 0).all(axis=1)
+    keep = np.asarray((pairs >= 0).all(axis=1))
     number = np.full(len(old.pairs), -1, dtype=np.int32)
     number[keep] = np.arange(int(keep.sum()))
     new.pairs = np.ascontiguousarray(pairs[keep], dtype=np.int32)

@@ -301,22 +301,25 @@ class Contacts:
         mask = np.zeros(len(self.pairs), bool)
         mask[which] = True
         touched = mask[self.patches.pair]
-        old = self.patches.take(np.flatnonzero(touched))
-        kept = np.flatnonzero(~touched)
-        merged = self.patches
         ghosts = self.ghosts.without(mask)
+        kept = np.flatnonzero(~touched)
+        old = self.patches.take(np.flatnonzero(touched)) if len(kept) else self.patches
+        merged, ids = self.patches, kept
         if len(which):
             cut = self._cut(which, x, old, raise_deep=OverlapError)
             inherit_history(self.surfaces, old, cut.patches, x)
-            kept = np.concatenate([kept, len(merged) + np.arange(len(cut.patches))])
-            merged = Patches.join(merged, cut.patches)
+            merged, ids = cut.patches, np.arange(len(cut.patches))
+            if len(kept):
+                merged, ids = Patches.join(self.patches, merged), np.concatenate([kept, len(self.patches) + ids])
             ghosts = Ghosts.join(ghosts, cut.ghosts)
-        self._install(merged, ghosts, x, kept)
+        self._install(merged, ghosts, x, ids)
 
     def _install(self, p: Patches, ghosts: Ghosts, x: Array, ids: Any) -> None:
         """Sort the patches `ids` of `p` and allocate what `forces` writes."""
         order = np.lexsort((p.face_s[ids], p.face_m[ids], p.pair[ids], p.law[ids]))
-        self.patches = p.take(ids[order])
+        ids = ids[order]
+        as_they_are = len(ids) == len(p) and bool((ids == np.arange(len(ids))).all())
+        self.patches = p if as_they_are else p.take(ids)
         self.ghosts = ghosts
         self.x_check[:] = x
         self._prepare()
@@ -361,7 +364,7 @@ class Contacts:
         )  # fmt: skip
         self._rows = (
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._mass, self._facing,
-            self._pair_area, self._pair_normal,
+            self._pair_area, self._pair_normal, np.zeros((n, 3)), np.zeros((n, 3)),
         )  # fmt: skip
 
     # ------------------------------------------------------------------ forces

@@ -177,21 +177,17 @@ def cut_pairs(
     plane_depth, centre = np.zeros((n, 3)), np.zeros((n, 3))
     kernels.measure(gp, start, corners, p.offset, x, *sizes, plane_depth, centre)
     area, closed, align, depth = sizes
-    facing = align > STRIP
-    largest, largest_closed = np.zeros(len(which)), np.zeros(len(which))
-    np.maximum.at(largest, local, np.where(facing, area, closed))
-    np.maximum.at(largest_closed, local, closed)
     # side strips are weighed by what is closed: they exist only as far as the blocks overlap
-    keep = np.where(facing, area > prune * largest[local], closed > prune * largest_closed[local]) | (prune <= 0.0)
-    nearest = miss.copy()  # the next thing to happen to a pair: a wall reached, or a face that just missed
-    np.minimum.at(nearest, local[keep], margin[keep])
-    travel = np.sqrt(np.maximum(largest, 1e-6 * np.where(np.isfinite(size), size, 0.0) ** 2))
+    facing, keep = align > STRIP, np.zeros(n, bool)
+    largest, largest_closed, nearest = np.zeros(len(which)), np.zeros(len(which)), miss.copy()
+    kernels.prune(local, facing, area, closed, margin, prune, keep, largest, largest_closed, nearest)
+    travel = np.sqrt(np.maximum(largest, 0.25 * np.where(np.isfinite(size), size, 0.0) ** 2))
     # or a strip that was left out comes to weigh
-    deeper = np.full(n, np.inf)
-    kernels.latent_reach(start, corners, plane_depth - p.offset, area, p.ref_ratio, prune * largest_closed[local], deeper)
     latent = np.full(len(which), np.inf)
-    out = np.flatnonzero(~keep & ~facing)
-    np.minimum.at(latent, local[out], np.maximum(deeper[out], LATENT_TRAVEL * travel[local[out]]))
+    kernels.latent_reach(
+        local, keep | facing, start, corners, plane_depth - p.offset, area, p.ref_ratio, prune * largest_closed, latent
+    )
+    latent = np.maximum(latent, LATENT_TRAVEL * travel)
     p.reach[:] = (nearest + TRAVEL * travel)[local]
     p.normal_reach[:] = latent[local]
     p.flags[facing] |= kernels.FACING
@@ -200,7 +196,8 @@ def cut_pairs(
     dropped = np.flatnonzero(~keep & empty[local])
     ghosts = _ghosts(s, which, empty, miss_face, nearest + TRAVEL * travel, x, p, local, dropped, area, depth)
     ids = np.flatnonzero(keep)
-    p = p.take(ids)
+    if len(ids) < n:
+        p = p.take(ids)
     thick = s.has_behind[p.face_m]
     kernels.weights_at(p.gp, thick, p.ref_points, x, p.w_clip)
     return Cut(

@@ -221,7 +221,9 @@ class Explicit:
         """Find the stable step again after contacts have changed."""
         limit = self.limit(system)
         if self.dt is None:
-            self.step_length = self.safety * limit
+            wanted = min(self.safety * limit, system.unseen_motion())
+            # in free flight the step stays what it was
+            self.step_length = wanted if np.isfinite(wanted) else getattr(self, "step_length", wanted)
         else:
             self.step_length = self.dt
             if self.dt > limit and not getattr(self, "_warned", False):
@@ -257,6 +259,8 @@ class Explicit:
             system.stale = False
             if system.stiffened():
                 self.refresh(system)
+            elif self.dt is None and not self.scaled:
+                self.step_length = min(self.step_length, system.unseen_motion())
 
 
 @dataclass

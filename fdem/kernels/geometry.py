@@ -288,6 +288,46 @@ def _plane_values(n, c, xs, out):
 
 
 @kernel
+def _middle(poly, n, xs, out):
+    """Mean of the corners of a polygon: its place `out` [m] and its two weights."""
+    w1, w2 = 0.0, 0.0
+    for i in range(n):
+        w1, w2 = w1 + poly[i, 0] / n, w2 + poly[i, 1] / n
+    for d in range(3):
+        out[d] = (1.0 - w1 - w2) * xs[0, d] + w1 * xs[1, d] + w2 * xs[2, d]
+    return w1, w2
+
+
+@kernel
+def _distance2(o, g, corner_start, corner_x, normal):
+    """Square of the distance of the point `o` from the convex polygon g [m^2]."""
+    first, last = corner_start[g], corner_start[g + 1]
+    best = np.inf
+    over = True
+    for c in range(first, last):
+        k = c + 1 if c + 1 < last else first
+        ex, ey, ez = corner_x[k, 0] - corner_x[c, 0], corner_x[k, 1] - corner_x[c, 1], corner_x[k, 2] - corner_x[c, 2]
+        dx, dy, dz = o[0] - corner_x[c, 0], o[1] - corner_x[c, 1], o[2] - corner_x[c, 2]
+        turn = (
+            normal[g, 0] * (ey * dz - ez * dy) + normal[g, 1] * (ez * dx - ex * dz) + normal[g, 2] * (ex * dy - ey * dx)
+        )
+        if turn < 0.0:
+            over = False
+            t = (ex * dx + ey * dy + ez * dz) / (ex * ex + ey * ey + ez * ez)
+            t = min(max(t, 0.0), 1.0)
+            rx, ry, rz = dx - t * ex, dy - t * ey, dz - t * ez
+            best = min(best, rx * rx + ry * ry + rz * rz)
+    if over:
+        d = (
+            normal[g, 0] * (o[0] - corner_x[first, 0])
+            + normal[g, 1] * (o[1] - corner_x[first, 1])
+            + normal[g, 2] * (o[2] - corner_x[first, 2])
+        )
+        best = d * d
+    return best
+
+
+@kernel
 def _own_cell(f, b, xs, df, poly, count, snap, convex, corner_start, corner_x, normal, wall, kind, bufs, work, tmp):
     """Split `poly[:count]` into the pieces inside R_f; returns their number, margin and miss; counts go to `work`.
 
@@ -351,13 +391,13 @@ def _own_cell(f, b, xs, df, poly, count, snap, convex, corner_start, corner_x, n
 
 @kernel
 def _rival(
-    g, xs, df, dg, outside, reach, bufs, work, n_pieces, snap, corner_start, corner_x, normal, wall, kind, tmp, part,
+    f, g, xs, df, dg, outside, reach, bufs, work, n_pieces, snap, corner_start, corner_x, normal, wall, kind, tmp, part,
     side, v,
 ):  # fmt: skip
     """Take away from the pieces what lies in the cell of the competing face g; returns the number of pieces.
 
     Inside the master (depth of g >= 0) g reaches up to the planes normal to it through its sharp edges, outside
-    (`outside`) up to the bisectors.
+    (`outside`) up to the bisectors, and only where its polygon is not farther away than that of f.
     """
     first, last = corner_start[g], corner_start[g + 1]
     n_old = n_pieces
@@ -373,6 +413,11 @@ def _rival(
             if step == 1:
                 if n == 0 or _ratio(part, n) <= 1e-13 * _ratio(bufs[q], m):
                     break
+                if outside:
+                    _middle(part, n, xs, side)
+                    mine = _distance2(side, f, corner_start, corner_x, normal)
+                    if _distance2(side, g, corner_start, corner_x, normal) > mine * (1.0 + 1e-9):
+                        break
                 for i in range(m):
                     part[i, 0], part[i, 1] = bufs[q, i, 0], bufs[q, i, 1]
                 n = m
@@ -445,46 +490,13 @@ def _inside(o, b, face_start, corner_start, corner_x):
 
 
 @kernel
-def _distance2(o, g, corner_start, corner_x, normal):
-    """Square of the distance of the point `o` from the convex polygon g [m^2]."""
-    first, last = corner_start[g], corner_start[g + 1]
-    best = np.inf
-    over = True
-    for c in range(first, last):
-        k = c + 1 if c + 1 < last else first
-        ex, ey, ez = corner_x[k, 0] - corner_x[c, 0], corner_x[k, 1] - corner_x[c, 1], corner_x[k, 2] - corner_x[c, 2]
-        dx, dy, dz = o[0] - corner_x[c, 0], o[1] - corner_x[c, 1], o[2] - corner_x[c, 2]
-        turn = (
-            normal[g, 0] * (ey * dz - ez * dy) + normal[g, 1] * (ez * dx - ex * dz) + normal[g, 2] * (ex * dy - ey * dx)
-        )
-        if turn < 0.0:
-            over = False
-            t = (ex * dx + ey * dy + ez * dz) / (ex * ex + ey * ey + ez * ez)
-            t = min(max(t, 0.0), 1.0)
-            rx, ry, rz = dx - t * ex, dy - t * ey, dz - t * ez
-            best = min(best, rx * rx + ry * ry + rz * rz)
-    if over:
-        d = (
-            normal[g, 0] * (o[0] - corner_x[first, 0])
-            + normal[g, 1] * (o[1] - corner_x[first, 1])
-            + normal[g, 2] * (o[2] - corner_x[first, 2])
-        )
-        best = d * d
-    return best
-
-
-@kernel
 def _owns(f, b, part, n, xs, df, affine, face_start, corner_start, corner_x, normal, lower, upper, o):
     """Whether the middle of the polygon `part[:n]` lies inside block b, and no face of b is nearer than the plane of f.
 
     The depth of a cell is at most the distance to the whole surface; faces that count as one smooth surface are
     compared with a tolerance.
     """
-    w1, w2 = 0.0, 0.0
-    for i in range(n):
-        w1, w2 = w1 + part[i, 0] / n, w2 + part[i, 1] / n
-    for d in range(3):
-        o[d] = (1.0 - w1 - w2) * xs[0, d] + w1 * xs[1, d] + w2 * xs[2, d]
+    w1, w2 = _middle(part, n, xs, o)
     depth = (1.0 - w1 - w2) * df[0] + w1 * df[1] + w2 * df[2]
     radius = depth * (0.98 if affine else 0.8)
     r2 = radius * radius
@@ -698,7 +710,7 @@ def clip_pairs(
                         n_before = n_pieces
                         for outside in range(2):
                             n_pieces = _rival(
-                                g, xs, df, dg, outside == 1, 4.0 * h, bufs, work, n_pieces, snap, corner_start,
+                                f, g, xs, df, dg, outside == 1, 4.0 * h, bufs, work, n_pieces, snap, corner_start,
                                 corner_x, normal, wall, kind, tmp, part, side, v,
                             )  # fmt: skip
                         if n_pieces != n_before:

@@ -103,7 +103,8 @@ def coulomb(
         p = -kn * gap[i]
         s0, s1, s2 = memory_old[i, 0], memory_old[i, 1], memory_old[i, 2]
         intact = memory_old[i, 3] > 0.0
-        for k in range(3, memory.shape[1]):
+        memory[i, 3], memory[i, 4], memory[i, 5] = memory_old[i, 3], memory_old[i, 4], memory_old[i, 5]
+        for k in range(6, memory.shape[1]):
             memory[i, k] = memory_old[i, k]
         work[i, 1] = 0.0
         if p < 0.0 and (not intact or p < -tension):
@@ -123,9 +124,9 @@ def coulomb(
         extra = 0.0
         if damping > 0.0 and dt > 0.0:
             extra = max(-2.0 * damping * math.sqrt(kn * mass[i]) * along / dt, min(p, 0.0) - p)
-        limit = max(residual_cohesion + residual * (p + extra) * facing, 0.0) if facing > 0.0 else 0.0
         e0, e1, e2 = d0 - along * nx, d1 - along * ny, d2 - along * nz
         state[i] = CLOSED
+        limit = -1.0
         if intact:
             t0, t1, t2 = s0 + e0, s1 + e1, s2 + e2
             strength = max(cohesion + peak * (p + extra) * facing, 0.0) if facing > 0.0 else 0.0
@@ -135,11 +136,12 @@ def coulomb(
                     p, extra = 0.0, 0.0
                 elif p < 0.0:
                     p, extra = 0.0, p + extra
-                limit = max(residual_cohesion + residual * (p + extra) * facing, 0.0) if facing > 0.0 else 0.0
             else:
                 limit = strength
                 if cohesion > 0.0 or tension > 0.0:
                     state[i] = INTACT
+        if limit < 0.0:
+            limit = max(residual_cohesion + residual * (p + extra) * facing, 0.0) if facing > 0.0 else 0.0
         if limit < math.inf:
             s0, s1, s2, released, plastic = _slide(s0, s1, s2, e0, e1, e2, limit * give)
             work[i, 0] = 0.5 * a * ks * released

@@ -129,37 +129,59 @@ def measure(gp, start, corners, offset, x, area, closed, align, depth, plane_dep
 
 
 @kernel
-def latent_reach(start, corners, depth, area, ratio, level, out):
-    """How much deeper [m] patches must get until `level` (n,) [m2] of them is closed; infinite if that cannot be.
+def prune(local, facing, area, closed, margin, share, keep, largest, largest_closed, nearest):
+    """Which patches weigh (`keep`): at least `share` of their pair's largest; strips by their closed part.
+
+    Out per pair, `local` (n,) being the pair of a patch: largest area of facing patches or closed part of any [m2],
+    largest closed part [m2], and in `nearest` the smaller of what it holds and the margins of kept patches [m].
+    """
+    for i in range(len(local)):
+        k = local[i]
+        largest[k] = max(largest[k], area[i] if facing[i] else closed[i])
+        largest_closed[k] = max(largest_closed[k], closed[i])
+    for i in range(len(local)):
+        k = local[i]
+        keep[i] = share <= 0.0
+        if facing[i]:
+            keep[i] |= area[i] > share * largest[k]
+        else:
+            keep[i] |= closed[i] > share * largest_closed[k]
+        if keep[i]:
+            nearest[k] = min(nearest[k], margin[i])
+
+
+@kernel
+def latent_reach(local, skip, start, corners, depth, area, ratio, level, out):
+    """How much deeper [m] a pair may get until `level` (n_pairs,) [m2] of a patch not in `skip` is closed.
 
     `depth` (n, 3) [m] is taken at the reference gridpoints, `area` (n,) [m2] and `ratio` are those of the whole polygons.
-    Bisection to 10 %, on the safe side.
+    Bisection to 10 %, on the safe side; `out` (n_pairs,) is lowered.
     """
     longest = 3
-    for i in range(len(out)):
+    for i in range(len(local)):
         longest = max(longest, start[i + 1] - start[i])
     poly, pts = np.empty((2 * longest + 2, 2)), np.empty((3, 2))
-    for i in range(len(out)):
-        if not area[i] > level[i]:
-            out[i] = np.inf
+    for i in range(len(local)):
+        limit = level[local[i]]
+        if skip[i] or not area[i] > limit:
             continue
         low, high = np.inf, -np.inf
         for k in range(start[i], start[i + 1]):
             w1, w2 = corners[k, 0], corners[k, 1]
             v = depth[i, 0] * (1.0 - w1 - w2) + depth[i, 1] * w1 + depth[i, 2] * w2
             low, high = min(low, v), max(high, v)
-        near, far = max(-high, 0.0), max(-low, 0.0)
-        if level[i] > 0.0:
+        near, far = max(-high, 0.0), min(max(-low, 0.0), out[local[i]])
+        if limit > 0.0:
             while far - near > 0.1 * near and far - near > 1e-9 * (high - low):
                 half = 0.5 * (near + far)
                 d0, d1, d2 = depth[i, 0] + half, depth[i, 1] + half, depth[i, 2] + half
                 n = _close(corners, start[i], start[i + 1], d0, d1, d2, poly)
                 part = _moment_points(poly, n, pts) if n >= 3 else 0.0
-                if part * area[i] > level[i] * ratio[i]:
+                if part * area[i] > limit * ratio[i]:
                     far = half
                 else:
                     near = half
-        out[i] = near
+        out[local[i]] = min(out[local[i]], near)
 
 
 @kernel
@@ -184,15 +206,26 @@ def weights_at(gp, thick, points, x, w):
     """Seven weights of the rows at `points` (n, 3, 2) into `w` (3 n, 7): + slave, - master at the same place."""
     tet = np.empty(12)
     for i in range(len(gp)):
-        _master_frame(gp[i], thick[i], x, tet)
+        _master_frame(gp, i, thick[i], x, tet)
+        a, b, c = gp[i, 0], gp[i, 1], gp[i, 2]
         for q in range(3):
-            _row_weights(gp[i], points[i, q, 0], points[i, q, 1], x, tet, w[3 * i + q])
+            row = 3 * i + q
+            w1, w2 = points[i, q, 0], points[i, q, 1]
+            w0 = 1.0 - w1 - w2
+            dx = w0 * x[a, 0] + w1 * x[b, 0] + w2 * x[c, 0] - tet[0]
+            dy = w0 * x[a, 1] + w1 * x[b, 1] + w2 * x[c, 1] - tet[1]
+            dz = w0 * x[a, 2] + w1 * x[b, 2] + w2 * x[c, 2] - tet[2]
+            l1 = dx * tet[3] + dy * tet[4] + dz * tet[5]
+            l2 = dx * tet[6] + dy * tet[7] + dz * tet[8]
+            l3 = dx * tet[9] + dy * tet[10] + dz * tet[11]
+            w[row, 0], w[row, 1], w[row, 2] = w0, w1, w2
+            w[row, 3], w[row, 4], w[row, 5], w[row, 6] = -(1.0 - l1 - l2 - l3), -l1, -l2, -l3
 
 
 @kernel
-def _master_frame(g, thick, x, out):
-    """Origin (3) and reciprocal edge vectors (9) of the tetrahedron of the master gridpoints."""
-    p, q, r, t = g[3], g[4], g[5], g[6]
+def _master_frame(gp, i, thick, x, out):
+    """Origin (3) and reciprocal edge vectors (9) of the tetrahedron of the master gridpoints of patch i."""
+    p, q, r, t = gp[i, 3], gp[i, 4], gp[i, 5], gp[i, 6]
     ax, ay, az = x[q, 0] - x[p, 0], x[q, 1] - x[p, 1], x[q, 2] - x[p, 2]
     bx, by, bz = x[r, 0] - x[p, 0], x[r, 1] - x[p, 1], x[r, 2] - x[p, 2]
     if thick:
@@ -213,26 +246,14 @@ def _master_frame(g, thick, x, out):
 
 
 @kernel
-def _row_weights(g, w1, w2, x, tet, w):
-    """Weights of one row: the slave point and the same spatial point on the master."""
-    a, b, c = g[0], g[1], g[2]
-    w0 = 1.0 - w1 - w2
-    dx = w0 * x[a, 0] + w1 * x[b, 0] + w2 * x[c, 0] - tet[0]
-    dy = w0 * x[a, 1] + w1 * x[b, 1] + w2 * x[c, 1] - tet[1]
-    dz = w0 * x[a, 2] + w1 * x[b, 2] + w2 * x[c, 2] - tet[2]
-    l1 = dx * tet[3] + dy * tet[4] + dz * tet[5]
-    l2 = dx * tet[6] + dy * tet[7] + dz * tet[8]
-    l3 = dx * tet[9] + dy * tet[10] + dz * tet[11]
-    w[0], w[1], w[2] = w0, w1, w2
-    w[3], w[4], w[5], w[6] = -(1.0 - l1 - l2 - l3), -l1, -l2, -l3
+def _blend(points, i, old, first, w1, w2, memory, row):
+    """Memory of `row` at (w1, w2) from the three points of i, rows `first`.. of `old`.
 
-
-@kernel
-def _blend(points, memory, row, w1, w2, out):
-    """Memory at (w1, w2) from the three old points: clamped barycentric, the flag (column 3) from the nearest."""
-    p1, p2 = points[0, 0], points[0, 1]
-    a1, a2 = points[1, 0] - p1, points[1, 1] - p2
-    b1, b2 = points[2, 0] - p1, points[2, 1] - p2
+    Clamped barycentric coordinates; the flag (column 3) comes from the nearest point.
+    """
+    p1, p2 = points[i, 0, 0], points[i, 0, 1]
+    a1, a2 = points[i, 1, 0] - p1, points[i, 1, 1] - p2
+    b1, b2 = points[i, 2, 0] - p1, points[i, 2, 1] - p2
     c1, c2 = w1 - p1, w2 - p2
     det = a1 * b2 - a2 * b1
     m0, m1, m2 = 1.0, 0.0, 0.0
@@ -247,26 +268,192 @@ def _blend(points, memory, row, w1, w2, out):
         near = 1
     if m2 > max(m0, m1):
         near = 2
-    for k in range(len(out)):
+    for k in range(memory.shape[1]):
         if k < 3 or k == 4 or k == 5:
-            out[k] = m0 * memory[row, k] + m1 * memory[row + 1, k] + m2 * memory[row + 2, k]
+            memory[row, k] = m0 * old[first, k] + m1 * old[first + 1, k] + m2 * old[first + 2, k]
         else:
-            out[k] = memory[row + near, k]
+            memory[row, k] = old[first + near, k]
 
 
 @kernel
-def _frame(a, b, c, x, out):
-    """Orthonormal frame of the triangle a, b, c: first edge, normal, their product."""
+def _unit_normal(a, b, c, x):
+    """Unit normal of the triangle of gridpoints a, b, c, and twice its area."""
     ex, ey, ez = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
     hx, hy, hz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
     nx, ny, nz = ey * hz - ez * hy, ez * hx - ex * hz, ex * hy - ey * hx
-    s = 1.0 / math.sqrt(ex * ex + ey * ey + ez * ez)
-    t = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
-    ex, ey, ez = ex * s, ey * s, ez * s
-    nx, ny, nz = nx * t, ny * t, nz * t
-    out[0], out[1], out[2] = ex, ey, ez
-    out[3], out[4], out[5] = nx, ny, nz
-    out[6], out[7], out[8] = ey * nz - ez * ny, ez * nx - ex * nz, ex * ny - ey * nx
+    double = math.sqrt(nx * nx + ny * ny + nz * nz)
+    return nx / double, ny / double, nz / double, double
+
+
+@kernel
+def _close_patches(
+    gp, start, corners, offset, flags, limit, ref_points, ref_ratio, x, active_old, memory_old, points, active, area, gap,
+    depth, face_normal,
+):  # fmt: skip
+    """The closed part of every patch: its points, and in `area` its share of the slave's triangle (once per patch).
+
+    `depth` (n, 3) and the master normal `face_normal[:, 0:3]` are left for `_fill_rows`. Returns the first patch deeper than
+    its limit, or -1.
+    """
+    longest = 3
+    for i in range(len(gp)):
+        longest = max(longest, start[i + 1] - start[i])
+    poly, pts = np.empty((2 * longest + 2, 2)), np.empty((3, 2))
+    too_deep, p, q, r = -1, -1, -1, -1
+    fx, fy, fz, level = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(gp)):
+        a, b, c = gp[i, 0], gp[i, 1], gp[i, 2]
+        if gp[i, 3] != p or gp[i, 4] != q or gp[i, 5] != r:
+            p, q, r = gp[i, 3], gp[i, 4], gp[i, 5]
+            fx, fy, fz, _ = _unit_normal(p, q, r, x)
+        face_normal[i, 0], face_normal[i, 1], face_normal[i, 2] = fx, fy, fz
+        ox, oy, oz = x[p, 0], x[p, 1], x[p, 2]
+        d0 = fx * (ox - x[a, 0]) + fy * (oy - x[a, 1]) + fz * (oz - x[a, 2]) - offset[i, 0]
+        d1 = fx * (ox - x[b, 0]) + fy * (oy - x[b, 1]) + fz * (oz - x[b, 2]) - offset[i, 1]
+        d2 = fx * (ox - x[c, 0]) + fy * (oy - x[c, 1]) + fz * (oz - x[c, 2]) - offset[i, 2]
+        if flags[i] & DILATES and active_old[i]:
+            lift = (memory_old[3 * i, 5] + memory_old[3 * i + 1, 5] + memory_old[3 * i + 2, 5]) / 3.0
+            d0, d1, d2 = d0 + lift, d1 + lift, d2 + lift
+        depth[i, 0], depth[i, 1], depth[i, 2] = d0, d1, d2
+        low, high = np.inf, -np.inf
+        for k in range(start[i], start[i + 1]):
+            w1, w2 = corners[k, 0], corners[k, 1]
+            level = d0 * (1.0 - w1 - w2) + d1 * w1 + d2 * w2
+            low = min(low, level)
+            high = max(high, level)
+        whole = low >= 0.0
+        if not whole and flags[i] & WHOLE and active_old[i]:
+            whole = memory_old[3 * i, 3] > 0.0 or memory_old[3 * i + 1, 3] > 0.0 or memory_old[3 * i + 2, 3] > 0.0
+        ratio = 0.0
+        if whole:
+            ratio = ref_ratio[i]
+            for k in range(3):
+                points[i, k, 0], points[i, k, 1] = ref_points[i, k, 0], ref_points[i, k, 1]
+        elif high > 0.0:
+            m = _close(corners, start[i], start[i + 1], d0, d1, d2, poly)
+            if m >= 3:
+                ratio = _moment_points(poly, m, pts)
+            if ratio > 0.0:
+                for k in range(3):
+                    points[i, k, 0], points[i, k, 1] = pts[k, 0], pts[k, 1]
+        active[i] = 1 if ratio > 0.0 else 0
+        area[3 * i] = max(ratio, 0.0)
+        if active[i] == 0:
+            area[3 * i + 1], area[3 * i + 2] = 0.0, 0.0
+            gap[3 * i], gap[3 * i + 1], gap[3 * i + 2] = -high, -high, -high
+        elif too_deep < 0 and high + max(offset[i, 0], offset[i, 1], offset[i, 2]) > limit[i]:  # without preload
+            too_deep = i
+    return too_deep
+
+
+@kernel
+def _fill_rows(
+    gp, flags, pair, thick, x, x_old, points, active, w, gap, area, align, normal, push, slip, facing_out, pair_area,
+    pair_normal, depth, face_normal,
+):  # fmt: skip
+    """Weights, gap, area, frame and slip of the rows of active patches; True if some patch is not aligned."""
+    tet, du = np.empty(12), np.zeros((4, 3))
+    unaligned, moving, p, q, r, t = False, False, -1, -1, -1, -1
+    for i in range(len(gp)):
+        if active[i] == 0:
+            continue
+        a, b, c = gp[i, 0], gp[i, 1], gp[i, 2]
+        if gp[i, 3] != p or gp[i, 4] != q or gp[i, 5] != r or gp[i, 6] != t:
+            p, q, r, t = gp[i, 3], gp[i, 4], gp[i, 5], gp[i, 6]
+            _master_frame(gp, i, thick[i], x, tet)
+            moving = False
+            for k in range(4):
+                g = gp[i, 3 + k]
+                for d in range(3):
+                    du[k, d] = x[g, d] - x_old[g, d]
+                    moving |= du[k, d] != 0.0
+        nx, ny, nz, double = _unit_normal(a, b, c, x)
+        fx, fy, fz = face_normal[i, 0], face_normal[i, 1], face_normal[i, 2]
+        push[i, 0], push[i, 1], push[i, 2] = nx, ny, nz
+        facing = -(nx * fx + ny * fy + nz * fz)
+        facing_out[i] = facing
+        share = double * area[3 * i] / 6.0
+        k = pair[i]
+        pair_area[k] += 3.0 * share
+        friction = (flags[i] & FACING) != 0
+        ax, ay, az = x[a, 0] - x_old[a, 0], x[a, 1] - x_old[a, 1], x[a, 2] - x_old[a, 2]
+        bx, by, bz = x[b, 0] - x_old[b, 0], x[b, 1] - x_old[b, 1], x[b, 2] - x_old[b, 2]
+        cx, cy, cz = x[c, 0] - x_old[c, 0], x[c, 1] - x_old[c, 1], x[c, 2] - x_old[c, 2]
+        pressed = 0.0
+        for row in range(3 * i, 3 * i + 3):
+            w1, w2 = points[i, row - 3 * i, 0], points[i, row - 3 * i, 1]
+            w0 = 1.0 - w1 - w2
+            dx = w0 * x[a, 0] + w1 * x[b, 0] + w2 * x[c, 0] - tet[0]
+            dy = w0 * x[a, 1] + w1 * x[b, 1] + w2 * x[c, 1] - tet[1]
+            dz = w0 * x[a, 2] + w1 * x[b, 2] + w2 * x[c, 2] - tet[2]
+            l1 = dx * tet[3] + dy * tet[4] + dz * tet[5]
+            l2 = dx * tet[6] + dy * tet[7] + dz * tet[8]
+            l3 = dx * tet[9] + dy * tet[10] + dz * tet[11]
+            l0 = 1.0 - l1 - l2 - l3
+            w[row, 0], w[row, 1], w[row, 2] = w0, w1, w2
+            w[row, 3], w[row, 4], w[row, 5], w[row, 6] = -l0, -l1, -l2, -l3
+            slip[row, 0] = w0 * ax + w1 * bx + w2 * cx
+            slip[row, 1] = w0 * ay + w1 * by + w2 * cy
+            slip[row, 2] = w0 * az + w1 * bz + w2 * cz
+            if moving:
+                for d in range(3):
+                    slip[row, d] -= l0 * du[0, d] + l1 * du[1, d] + l2 * du[2, d] + l3 * du[3, d]
+            gap[row] = -(depth[i, 0] * w0 + depth[i, 1] * w1 + depth[i, 2] * w2)
+            pressed += min(gap[row], 0.0)
+            area[row] = share
+            align[row] = facing if friction else 0.0
+            normal[row, 0], normal[row, 1], normal[row, 2] = fx, fy, fz
+        if friction and facing <= ALIGNED:
+            unaligned = True
+            pair_normal[k, 0] += share * pressed * nx
+            pair_normal[k, 1] += share * pressed * ny
+            pair_normal[k, 2] += share * pressed * nz
+    return unaligned
+
+
+@kernel
+def _carry_memory(gp, flags, x, x_old, points_old, active_old, memory_old, points, active, memory):
+    """Committed memory moved to the new points, its elastic slip turned with the frame of the slave face.
+
+    The frame: first edge e, normal n, their product v. A slip s becomes ``sum (s.e_old) e / |e_old||e|`` over the three.
+    """
+    columns = memory.shape[1]
+    for i in range(len(gp)):
+        if active[i] == 0:
+            continue
+        lo = 3 * i
+        if active_old[i] == 0 or not flags[i] & FACING:
+            for row in range(lo, lo + 3):
+                for k in range(columns):
+                    memory[row, k] = 0.0
+            continue
+        a, b, c = gp[i, 0], gp[i, 1], gp[i, 2]
+        ux, uy, uz = x_old[b, 0] - x_old[a, 0], x_old[b, 1] - x_old[a, 1], x_old[b, 2] - x_old[a, 2]
+        hx, hy, hz = x_old[c, 0] - x_old[a, 0], x_old[c, 1] - x_old[a, 1], x_old[c, 2] - x_old[a, 2]
+        ox, oy, oz = uy * hz - uz * hy, uz * hx - ux * hz, ux * hy - uy * hx
+        vx, vy, vz = uy * oz - uz * oy, uz * ox - ux * oz, ux * oy - uy * ox
+        ex, ey, ez = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        hx, hy, hz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+        nx, ny, nz = ey * hz - ez * hy, ez * hx - ex * hz, ex * hy - ey * hx
+        gx, gy, gz = ey * nz - ez * ny, ez * nx - ex * nz, ex * ny - ey * nx
+        s = 1.0 / math.sqrt((ux * ux + uy * uy + uz * uz) * (ex * ex + ey * ey + ez * ez))
+        t = 1.0 / math.sqrt((ox * ox + oy * oy + oz * oz) * (nx * nx + ny * ny + nz * nz))
+        for row in range(lo, lo + 3):
+            w1, w2 = points[i, row - lo, 0], points[i, row - lo, 1]
+            if w1 == points_old[i, row - lo, 0] and w2 == points_old[i, row - lo, 1]:
+                s0, s1, s2 = memory_old[row, 0], memory_old[row, 1], memory_old[row, 2]
+                memory[row, 3], memory[row, 4], memory[row, 5] = memory_old[row, 3], memory_old[row, 4], memory_old[row, 5]
+                for k in range(6, columns):
+                    memory[row, k] = memory_old[row, k]
+            else:
+                _blend(points_old, i, memory_old, lo, w1, w2, memory, row)
+                s0, s1, s2 = memory[row, 0], memory[row, 1], memory[row, 2]
+            c0 = (s0 * ux + s1 * uy + s2 * uz) * s
+            c1 = (s0 * ox + s1 * oy + s2 * oz) * t
+            c2 = (s0 * vx + s1 * vy + s2 * vz) * (s * t)
+            memory[row, 0] = c0 * ex + c1 * nx + c2 * gx
+            memory[row, 1] = c0 * ey + c1 * ny + c2 * gy
+            memory[row, 2] = c0 * ez + c1 * nz + c2 * gz
 
 
 @kernel
@@ -274,7 +461,7 @@ def project(
     gp, start, corners, offset, flags, pair, limit, thick, ref_points, ref_ratio, inverse_mass, inverse_gp, damped,
     x, x_old,
     points_old, active_old, memory_old, points, active, memory, w, gap, area, align, normal, push, slip, mass,
-    facing_out, pair_area, pair_normal,
+    facing_out, pair_area, pair_normal, depth, face_normal,
 ):  # fmt: skip
     """Re-project, close and sample every patch: the rows the joint laws work on.
 
@@ -293,137 +480,25 @@ def project(
     | slip | (3 n, 3) | m | out: motion of the slave relative to the master since `x_old` |
     | facing_out | (n,) | - | out: -n_a.n_f |
     | mass | (3 n,) | kg/m2 | out: reduced mass per area |
+    | depth, face_normal | (n, 3) | m, - | out: depth at the slave gridpoints, normal of the master face |
 
     Returns
     -------
     int
         Index of a patch deeper than its limit, or -1.
     """
-    n_patches = len(gp)
-    longest = 3
-    for i in range(n_patches):
-        longest = max(longest, start[i + 1] - start[i])
-    poly, tet = np.empty((2 * longest + 2, 2)), np.empty(12)
-    pts, du = np.empty((3, 2)), np.empty((7, 3))
-    old, new = np.empty(9), np.empty(9)
-    fx, fy, fz = 0.0, 0.0, 0.0
     for i in range(len(pair_area)):
         pair_area[i] = 0.0
         pair_normal[i, 0], pair_normal[i, 1], pair_normal[i, 2] = 0.0, 0.0, 0.0
-    too_deep, unaligned = -1, False
-    last = -1
-    for i in range(n_patches):
-        a, b, c = gp[i, 0], gp[i, 1], gp[i, 2]
-        p = gp[i, 3]
-        same = (
-            last >= 0
-            and gp[last, 3] == p
-            and gp[last, 4] == gp[i, 4]
-            and gp[last, 5] == gp[i, 5]
-            and gp[last, 6] == gp[i, 6]
-        )
-        if not same:
-            q, r = gp[i, 4], gp[i, 5]
-            ux, uy, uz = x[q, 0] - x[p, 0], x[q, 1] - x[p, 1], x[q, 2] - x[p, 2]
-            vx, vy, vz = x[r, 0] - x[p, 0], x[r, 1] - x[p, 1], x[r, 2] - x[p, 2]
-            fx, fy, fz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-            s = math.sqrt(fx * fx + fy * fy + fz * fz)
-            fx, fy, fz = fx / s, fy / s, fz / s
-            _master_frame(gp[i], thick[i], x, tet)
-            last = i
-        ox, oy, oz = x[p, 0], x[p, 1], x[p, 2]
-        d0 = fx * (ox - x[a, 0]) + fy * (oy - x[a, 1]) + fz * (oz - x[a, 2]) - offset[i, 0]
-        d1 = fx * (ox - x[b, 0]) + fy * (oy - x[b, 1]) + fz * (oz - x[b, 2]) - offset[i, 1]
-        d2 = fx * (ox - x[c, 0]) + fy * (oy - x[c, 1]) + fz * (oz - x[c, 2]) - offset[i, 2]
-        if flags[i] & DILATES and active_old[i]:
-            lift = (memory_old[3 * i, 5] + memory_old[3 * i + 1, 5] + memory_old[3 * i + 2, 5]) / 3.0
-            d0, d1, d2 = d0 + lift, d1 + lift, d2 + lift
-        low, high = np.inf, -np.inf
-        for k in range(start[i], start[i + 1]):
-            w1, w2 = corners[k, 0], corners[k, 1]
-            v = d0 * (1.0 - w1 - w2) + d1 * w1 + d2 * w2
-            low = min(low, v)
-            high = max(high, v)
-        whole = False
-        if flags[i] & WHOLE and active_old[i]:
-            whole = memory_old[3 * i, 3] > 0.0 or memory_old[3 * i + 1, 3] > 0.0 or memory_old[3 * i + 2, 3] > 0.0
-        ratio = ref_ratio[i]
-        shut = low >= 0.0 or whole
-        if not shut:
-            ratio = 0.0
-            if high > 0.0:
-                m = _close(corners, start[i], start[i + 1], d0, d1, d2, poly)
-                if m >= 3:
-                    ratio = _moment_points(poly, m, pts)
-        if not ratio > 0.0:
-            active[i] = 0
-            for q in range(3 * i, 3 * i + 3):
-                area[q] = 0.0
-                gap[q] = -high
-            continue
-        if high > limit[i] and too_deep < 0:
-            too_deep = i
-        active[i] = 1
-        e1x, e1y, e1z = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
-        e2x, e2y, e2z = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
-        nx, ny, nz = e1y * e2z - e1z * e2y, e1z * e2x - e1x * e2z, e1x * e2y - e1y * e2x
-        double = math.sqrt(nx * nx + ny * ny + nz * nz)
-        nx, ny, nz = nx / double, ny / double, nz / double
-        push[i, 0], push[i, 1], push[i, 2] = nx, ny, nz
-        facing = -(nx * fx + ny * fy + nz * fz)
-        facing_out[i] = facing
-        share = double * ratio / 6.0
-        pair_area[pair[i]] += 3.0 * share
-        friction = (flags[i] & FACING) != 0
-        for k in range(7):
-            g = gp[i, k]
-            du[k, 0], du[k, 1], du[k, 2] = x[g, 0] - x_old[g, 0], x[g, 1] - x_old[g, 1], x[g, 2] - x_old[g, 2]
-        turned = friction and active_old[i] == 1
-        if turned:  # frames of the slave face before and now: first edge, normal, their product
-            _frame(a, b, c, x_old, old)
-            _frame(a, b, c, x, new)
-        for q in range(3):
-            row = 3 * i + q
-            if shut:
-                w1, w2 = ref_points[i, q, 0], ref_points[i, q, 1]
-            else:
-                w1, w2 = pts[q, 0], pts[q, 1]
-            w0 = 1.0 - w1 - w2
-            if turned:
-                unmoved = w1 == points_old[i, q, 0] and w2 == points_old[i, q, 1]
-                if unmoved:
-                    for k in range(memory.shape[1]):
-                        memory[row, k] = memory_old[row, k]
-                else:
-                    _blend(points_old[i], memory_old, 3 * i, w1, w2, memory[row])
-                s0, s1, s2 = memory[row, 0], memory[row, 1], memory[row, 2]
-                if s0 != 0.0 or s1 != 0.0 or s2 != 0.0:
-                    c0 = s0 * old[0] + s1 * old[1] + s2 * old[2]
-                    c1 = s0 * old[3] + s1 * old[4] + s2 * old[5]
-                    c2 = s0 * old[6] + s1 * old[7] + s2 * old[8]
-                    for d in range(3):
-                        memory[row, d] = c0 * new[d] + c1 * new[3 + d] + c2 * new[6 + d]
-            else:
-                for k in range(memory.shape[1]):
-                    memory[row, k] = 0.0
-            points[i, q, 0], points[i, q, 1] = w1, w2
-            _row_weights(gp[i], w1, w2, x, tet, w[row])
-            gap[row] = -(d0 * w0 + d1 * w1 + d2 * w2)
-            area[row] = share
-            align[row] = facing if friction else 0.0
-            normal[row, 0], normal[row, 1], normal[row, 2] = fx, fy, fz
-            for d in range(3):
-                v = 0.0
-                for k in range(7):
-                    v += w[row, k] * du[k, d]
-                slip[row, d] = v
-        if friction and facing <= ALIGNED:
-            unaligned = True
-            v = -share * (min(gap[3 * i], 0.0) + min(gap[3 * i + 1], 0.0) + min(gap[3 * i + 2], 0.0))
-            k = pair[i]
-            pair_normal[k, 0] -= v * nx
-            pair_normal[k, 1] -= v * ny
-            pair_normal[k, 2] -= v * nz
+    too_deep = _close_patches(
+        gp, start, corners, offset, flags, limit, ref_points, ref_ratio, x, active_old, memory_old, points, active, area,
+        gap, depth, face_normal,
+    )  # fmt: skip
+    unaligned = _fill_rows(
+        gp, flags, pair, thick, x, x_old, points, active, w, gap, area, align, normal, push, slip, facing_out, pair_area,
+        pair_normal, depth, face_normal,
+    )  # fmt: skip
+    _carry_memory(gp, flags, x, x_old, points_old, active_old, memory_old, points, active, memory)
     if unaligned:
         _common_normals(active, align, pair, push, pair_normal, normal)
     if damped:
@@ -468,21 +543,58 @@ def _reduced_mass(gp, active, pair, pair_area, inverse_mass, inverse_gp, area, w
 
 @kernel
 def scatter(gp, active, w, area, push, traction, f_gp):
-    """Add -p a n_a + t a on the slave and the opposite on the master to the gridpoints, serially in row order."""
-    for i in range(len(gp)):
+    """Add -p a n_a + t a on the slave and the opposite on the master to the gridpoints, serially in row order.
+
+    Weights of a side sum to one, so the first gridpoint gets what the others leave of the force. Forces on a master face
+    are summed as long as patches stay on it.
+    """
+    n = len(gp)
+    m1x, m1y, m1z, m2x, m2y, m2z, m3x, m3y, m3z, mx, my, mz = 12 * (0.0,)
+    for i in range(n):
         if active[i] == 0:
             continue
+        s1x, s1y, s1z, s2x, s2y, s2z, sx, sy, sz = 9 * (0.0,)
         for row in range(3 * i, 3 * i + 3):
-            a = area[row]
-            p = traction[row, 0]
+            a, p = area[row], traction[row, 0]
             fx = a * (traction[row, 1] - p * push[i, 0])
             fy = a * (traction[row, 2] - p * push[i, 1])
             fz = a * (traction[row, 3] - p * push[i, 2])
-            for k in range(7):
-                g = gp[i, k]
-                f_gp[g, 0] += w[row, k] * fx
-                f_gp[g, 1] += w[row, k] * fy
-                f_gp[g, 2] += w[row, k] * fz
+            v, u = w[row, 1], w[row, 2]
+            sx, sy, sz = sx + fx, sy + fy, sz + fz
+            s1x, s1y, s1z = s1x + v * fx, s1y + v * fy, s1z + v * fz
+            s2x, s2y, s2z = s2x + u * fx, s2y + u * fy, s2z + u * fz
+            v, u, t = w[row, 4], w[row, 5], w[row, 6]
+            m1x, m1y, m1z = m1x + v * fx, m1y + v * fy, m1z + v * fz
+            m2x, m2y, m2z = m2x + u * fx, m2y + u * fy, m2z + u * fz
+            m3x, m3y, m3z = m3x + t * fx, m3y + t * fy, m3z + t * fz
+        g, h, k = gp[i, 0], gp[i, 1], gp[i, 2]
+        f_gp[g, 0] += sx - s1x - s2x
+        f_gp[g, 1] += sy - s1y - s2y
+        f_gp[g, 2] += sz - s1z - s2z
+        f_gp[h, 0] += s1x
+        f_gp[h, 1] += s1y
+        f_gp[h, 2] += s1z
+        f_gp[k, 0] += s2x
+        f_gp[k, 1] += s2y
+        f_gp[k, 2] += s2z
+        mx, my, mz = mx + sx, my + sy, mz + sz
+        if i + 1 < n and active[i + 1] != 0 and gp[i, 3] == gp[i + 1, 3] and gp[i, 4] == gp[i + 1, 4]:
+            if gp[i, 5] == gp[i + 1, 5] and gp[i, 6] == gp[i + 1, 6]:
+                continue
+        g, h, k, q = gp[i, 3], gp[i, 4], gp[i, 5], gp[i, 6]
+        f_gp[g, 0] -= mx + m1x + m2x + m3x
+        f_gp[g, 1] -= my + m1y + m2y + m3y
+        f_gp[g, 2] -= mz + m1z + m2z + m3z
+        f_gp[h, 0] += m1x
+        f_gp[h, 1] += m1y
+        f_gp[h, 2] += m1z
+        f_gp[k, 0] += m2x
+        f_gp[k, 1] += m2y
+        f_gp[k, 2] += m2z
+        f_gp[q, 0] += m3x
+        f_gp[q, 1] += m3y
+        f_gp[q, 2] += m3z
+        m1x, m1y, m1z, m2x, m2y, m2z, m3x, m3y, m3z, mx, my, mz = 12 * (0.0,)
 
 
 @kernel
@@ -539,21 +651,20 @@ def worn_pairs(gp, pair, w, reach, normal_reach, x, out):
 
 @kernel
 def inherit(
-    key_pair, face_s, face_m, points, frames, begin_old, end_old, face_s_old, face_m_old, points_old, active_old,
-    memory_old, active, memory,
+    face_m, points, frames, begin_old, end_old, face_m_old, points_old, active_old, memory_old, active, memory,
 ):  # fmt: skip
     """History of new patches from the old ones of the same pair (CONTACT.md 3.7).
 
     The same faces: the linear field of the old points. Else the nearest old point on the same slave face, unless it is
     further away than the patch is large; then the flag (column 3) stays 0. `begin_old`, `end_old` (n,) bound the old
-    patches of the same pair; `frames` (n, 3) is the metric (g11, g12, g22) of the slave's reference triangle.
+    patches of the same pair and slave face; `frames` (n, 3) is the metric (g11, g12, g22) of the slave's reference triangle.
     """
-    for i in range(len(face_s)):
+    for i in range(len(face_m)):
         if active[i] == 0:
             continue
         exact = -1
         for j in range(begin_old[i], end_old[i]):
-            if active_old[j] and face_s_old[j] == face_s[i] and face_m_old[j] == face_m[i]:
+            if active_old[j] and face_m_old[j] == face_m[i]:
                 exact = j if exact == -1 else -2
         found = False
         size2 = 0.0
@@ -563,12 +674,12 @@ def inherit(
         for q in range(3):
             row = 3 * i + q
             if exact >= 0:
-                _blend(points_old[exact], memory_old, 3 * exact, points[i, q, 0], points[i, q, 1], memory[row])
+                _blend(points_old, exact, memory_old, 3 * exact, points[i, q, 0], points[i, q, 1], memory, row)
                 found = True
                 continue
             best, best_row, best_patch = np.inf, -1, -1
             for j in range(begin_old[i], end_old[i]):
-                if active_old[j] == 0 or face_s_old[j] != face_s[i]:
+                if active_old[j] == 0:
                     continue
                 for r in range(3):
                     a1, a2 = points[i, q, 0] - points_old[j, r, 0], points[i, q, 1] - points_old[j, r, 1]
