@@ -79,12 +79,16 @@ def excavate(scene: fdem.Scene, verbose: bool) -> tuple[fdem.Simulation, dict[st
     wall = sim.history(scene.gridpoint((RADIUS, 0, 0), "rock"), "displacement", component="x", every=25)
     if verbose:
         print(sim.describe())
-        print(f"in situ: {initial.reason}, ratio {initial.start_ratio:.1e} -> {initial.ratio:.1e}, {initial.cycles} cycles")
+        print(
+            f"in situ: {initial.reason}, ratio {initial.start_ratio:.1e} -> {initial.ratio:.1e}, {initial.cycles} cycles"
+        )
     for stage in ("heading", "bench"):
         sim.excavate(stage, over=300)
         report = sim.solve(ratio=1e-5, max_cycles=60_000)
         if verbose:
-            print(f"{stage}: {report.reason}, ratio {report.ratio:.1e}, {report.cycles} cycles, {report.wall_time:.1f} s")
+            print(
+                f"{stage}: {report.reason}, ratio {report.ratio:.1e}, {report.cycles} cycles, {report.wall_time:.1f} s"
+            )
     table = sim.contact_table()
     moved = np.linalg.norm(sim["rock"].displacement, axis=1)
     numbers = {
@@ -125,7 +129,9 @@ def main(seed: int = 4, size: float = 1.2, out: Path = Path("out"), verbose: boo
         for name, value in numbers.items():
             print(f"{name:34s} {value:12.4g}")
         drawn = time.perf_counter()
-        print(f"wall time: cutting {built - begin:.1f} s, solving {solved - built:.1f} s, pictures {drawn - solved:.1f} s")
+        print(
+            f"wall time: cutting {built - begin:.1f} s, solving {solved - built:.1f} s, pictures {drawn - solved:.1f} s"
+        )
         print(f"pictures in {out}/: demo_joint_sets, demo_displacement, demo_slip, demo_history")
     return numbers
 

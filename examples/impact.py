@@ -1,6 +1,6 @@
 """A rigid ball hits a zoned beam: momentum and energy balance of an impact.
 
-    python examples/impact.py [picture folder]
+python examples/impact.py [picture folder]
 """
 
 from __future__ import annotations

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from fdem.contact.carry import notes
 
-if TYPE_CHECKING:
-    from fdem.simulation import Simulation
-
 __all__ = ["describe"]
 
 
-def describe(sim: Simulation) -> str:
+def describe(sim: Any) -> str:
     """Return the description of a simulation, one fact a line."""
     model, contacts, integrator = sim.model, sim.system.contacts, sim.integrator
     lines = [
@@ -35,7 +32,7 @@ def describe(sim: Simulation) -> str:
     return "\n".join(lines)
 
 
-def _step(sim: Simulation) -> str:
+def _step(sim: Any) -> str:
     bounds = sim.system.block_frequencies()
     if sim.integrator.scaled:
         return f"step: {sim.dt:g} units of fictitious time, half of which is the limit of the scaled masses' bound"

@@ -68,6 +68,7 @@ class DeadLoad(Load):
         np.add.at(self.forces, inverse.ravel(), forces)
 
     def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        """Forces (n, 3) [N] on the gridpoints."""
         return self.forces
 
 
@@ -90,6 +91,7 @@ class Follower(Load):
         self.share = -(pressure + pressure.sum(axis=1, keepdims=True)) / 24.0
 
     def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        """Forces (n, 3) [N] on the gridpoints."""
         corners = x[self.gp][self.corner]
         area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         forces = np.zeros((len(self.gp), 3))
@@ -108,6 +110,7 @@ class Dashpot(Load):
         self.matrices = matrices
 
     def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        """Forces (n, 3) [N] on the gridpoints."""
         assert xdot is not None
         return -np.einsum("nij,nj->ni", self.matrices, xdot[self.gp])
 
@@ -120,6 +123,7 @@ class Bedding(Load):
         self.matrices, self.start = matrices, X[self.gp].copy()
 
     def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        """Forces (n, 3) [N] on the gridpoints."""
         return -np.einsum("nij,nj->ni", self.matrices, x[self.gp] - self.start)
 
 
@@ -133,10 +137,13 @@ class UserLoad(Load):
         self.origin = origin
 
     def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        """Forces (n, 3) [N] on the gridpoints."""
         assert xdot is not None
         forces = np.asarray(self.handle.load.force(t, x[self.gp] + self.origin, xdot[self.gp]), dtype=np.float64)
         if forces.shape != (len(self.gp), 3):
-            raise SceneError(f"load {self.handle.load!r}: force returned shape {forces.shape}, expected ({len(self.gp)}, 3)")
+            raise SceneError(
+                f"load {self.handle.load!r}: force returned shape {forces.shape}, expected ({len(self.gp)}, 3)"
+            )
         if not np.isfinite(forces).all():
             raise SolveError(f"load {self.handle.load!r}: force is not finite at t = {t:g} s")
         return forces
@@ -158,9 +165,11 @@ class Release(Load):
         self.forces, self.start, self.over = forces, start, over
 
     def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        """Forces (n, 3) [N] on the gridpoints."""
         return self.forces
 
     def add(self, t: float, step: int, x: np.ndarray, xdot: np.ndarray | None, f_gp: np.ndarray) -> None:
+        """Add what is left of the forces to `f_gp` [N]."""
         left = max(0.0, 1.0 - (step - self.start) / self.over)
         self.total = left * self.forces.sum(axis=0)
         if left > 0.0:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fdem.contact.carry import present
+from fdem.contact.carry import present, scatter_between
 from fdem.errors import UnsupportedError
 from fdem.integrate.system import System
 from fdem.model import Model
@@ -26,6 +27,7 @@ class Readout:
     centroids0: np.ndarray
     turned: np.ndarray
     ledger: Ledger | None
+    compiled: Any
 
     @property
     def time(self) -> float:
@@ -192,7 +194,9 @@ class Readout:
         contacts = self.system.contacts
         self.forces()
         if contacts is None:
-            empty: dict[str, Any] = {name: np.zeros(0, dtype=np.int32) for name in ("block_a", "block_b", "joint", "state")}
+            empty: dict[str, Any] = {
+                name: np.zeros(0, dtype=np.int32) for name in ("block_a", "block_b", "joint", "state")
+            }
             empty |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
             empty |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
             return empty | {"joint_names": self.model.joint_names}
@@ -207,6 +211,17 @@ class Readout:
         np.add.at(result, table["block_b"], table["force"])
         np.add.at(result, table["block_a"], -table["force"])
         return result
+
+    def tractions_of(self, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Gridpoints (k,) of other blocks, and forces (k, 3) [N] the blocks `names` exert on them."""
+        contacts, total = self.system.contacts, np.zeros_like(self.state.f_gp)
+        chosen = np.isin(self.model.names, names)
+        if contacts is not None:
+            self.forces()
+            scatter_between(contacts, chosen, total)
+        total[chosen[self.model.gp_block]] = 0.0
+        gp = np.flatnonzero(np.any(total != 0.0, axis=1))
+        return gp, total[gp]
 
     def load_force(self, handle: Any) -> np.ndarray:
         """Total force (3,) [N] of a load, or the reaction of a support on the blocks."""
@@ -269,3 +284,45 @@ class Readout:
         if self.ledger is None:
             raise UnsupportedError("energy: this simulation was made with energy=False")
         return self.ledger.entry(self.stored())
+
+    def pair_force(self, a: Any, b: Any) -> np.ndarray:
+        """Total force (3,) on `b` by `a` [N]."""
+        return self._pair(a, b)[0]
+
+    def pair_moment(self, a: Any, b: Any) -> np.ndarray:
+        """Total moment (3,) on `b` by `a` about b's centroid [N m]."""
+        return self._pair(a, b)[1]
+
+    def _pair(self, a: Any, b: Any) -> tuple[np.ndarray, np.ndarray]:
+        select, table = self.compiled.select, self.contact_table()
+        first, second = select.blocks(a, "pair"), select.blocks(b, "pair")
+        sign = np.where(np.isin(table["block_a"], first) & np.isin(table["block_b"], second), 1.0, 0.0)
+        sign -= np.isin(table["block_b"], first) & np.isin(table["block_a"], second)
+        force = sign[:, None] * table["force"]
+        weight = self.model.volume[second]
+        centre = weight @ (self.centroids()[second] + self.model.origin) / weight.sum()
+        return force.sum(axis=0), np.cross(table["position"] - centre, force).sum(axis=0)
+
+    def describe(self) -> str:
+        """What was compiled, what was left out and why, the step and what limits it."""
+        from fdem.description import describe
+
+        return describe(self)
+
+    def mesh(self) -> Any:
+        """Everything as one `pyvista.UnstructuredGrid`."""
+        from fdem.results.datasets import mesh
+
+        return mesh(self)
+
+    def contacts(self) -> Any:
+        """Contact points as `pyvista.PolyData`."""
+        from fdem.results.datasets import contacts
+
+        return contacts(self)
+
+    def plot(self, path: str | Path, scalars: str = "displacement", warp: float | str = 1.0, **options: Any) -> Path:
+        """Write an image with no display (options: `fdem.results.plot.plot`)."""
+        from fdem.results.plot import plot
+
+        return plot(self, path, scalars, warp, **options)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import time as clock
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from inspect import signature
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,47 +20,15 @@ from fdem.integrate.system import System
 from fdem.loads import Release
 from fdem.readout import Readout
 from fdem.results.energy import Ledger
-from fdem.results.history import Every, History, quantity
+from fdem.results.history import Every, History, adapted, watch
 from fdem.scene.checks import number
 from fdem.scene.scene import Applied, Fix, Gridpoint, Scene, Where
-from fdem.stopping import Watch
+from fdem.stopping import Report, Watch
 from fdem.views import BlockView, GridpointView, LoadView
 
 __all__ = ["Report", "Simulation", "load"]
 
 CHECK_EVERY = 100  # steps between two looks for values that are not finite and for energy growth
-
-
-@dataclass(frozen=True)
-class Report:
-    """How a `Simulation.solve` ended.
-
-    Attributes
-    ----------
-    converged : bool
-        Whether equilibrium was reached.
-    reason : str
-        "equilibrium", "cycles" or "collapse".
-    cycles : int
-        Steps taken.
-    ratio, start_ratio : float
-        Solve ratio at the end and at the start.
-    kinetic_ratio : float
-        Kinetic energy over its largest value of this solve.
-    remaining : float
-        Estimated displacement still to come over the largest displacement so far.
-    wall_time : float
-        [s].
-    """
-
-    converged: bool
-    reason: str
-    cycles: int
-    ratio: float
-    start_ratio: float
-    kinetic_ratio: float
-    remaining: float
-    wall_time: float
 
 
 class Simulation(Readout):
@@ -208,7 +175,8 @@ class Simulation(Readout):
         """Refuse energy that grows; a load that sets in looks like it for a step, so it must go on growing."""
         assert self.ledger is not None
         entry, suspect = self.energy, self._suspect
-        if not (entry.error > 0.5 * self.ledger.turned and entry.closure > 0.0):
+        held = entry.kinetic + abs(entry.strain) + entry.joint
+        if entry.closure == 0.0 or entry.error <= 0.5 * self.ledger.turned or entry.error > 2.0 * held:
             self._suspect = None
         elif suspect is None or entry.error < suspect[1]:
             self._suspect = self.state.step, entry.error
@@ -307,7 +275,7 @@ class Simulation(Readout):
         gone = [b.name for b in chosen if b.name not in self._removed]
         if not gone:
             raise SceneError(f"excavate: target {target!r} selects no block that is still there")
-        release = [self._tractions_of(gone, int(over))] if over else []
+        release = [(*self.tractions_of(gone), self.state.step, int(over))] if over else []
         self._rebuild(removed=self._removed | frozenset(gone), release=release)
         self._end_histories()
         return gone
@@ -320,17 +288,6 @@ class Simulation(Readout):
             except SceneError as error:
                 self._observers.remove(history)
                 warnings.warn(f"history {history.name!r} ends here: {error}", FdemWarning, stacklevel=3)
-
-    def _tractions_of(self, gone: list[str], over: int) -> tuple[np.ndarray, np.ndarray, int, int]:
-        """Gridpoint forces that the blocks `gone` exert on the others."""
-        contacts, total = self.system.contacts, np.zeros_like(self.state.f_gp)
-        leaves = np.isin(self.model.names, gone)
-        if contacts is not None:
-            self.forces()
-            carry.scatter_between(contacts, leaves, total)
-        total[leaves[self.model.gp_block]] = 0.0
-        gp = np.flatnonzero(np.any(total != 0.0, axis=1))
-        return gp, total[gp], self.state.step, over
 
     def _rebuild(
         self,
@@ -403,14 +360,7 @@ class Simulation(Readout):
         History
             With ``time``, ``steps``, ``values`` and ``unit``.
         """
-        if callable(target):
-            history = History(target, every, name or "")
-        elif name is None:
-            getter, unit = quantity(target, component)
-            history = History(getter, every, str(target), unit)
-        else:
-            getter, unit = quantity(name, component)
-            history = History(lambda sim: getter(sim[target]), every, name, unit)
+        history = watch(target, name, component, every)
         history.record(self)
         self._observers.append(history)
         return history
@@ -421,12 +371,7 @@ class Simulation(Readout):
             if not callable(getattr(observer, method, None)):
                 raise SceneError(f"observe: observer = {observer!r} has no {method}()")
         observer.record(self)
-        try:
-            signature(observer.next).bind(0, 0.0, 0.0)
-        except TypeError:
-            self._observers.append(_WithoutStep(observer))
-        else:
-            self._observers.append(observer)
+        self._observers.append(adapted(observer))
         return observer
 
     def __getitem__(self, target: Any) -> Any:
@@ -445,63 +390,9 @@ class Simulation(Readout):
         single = len(rows) == 1 and not isinstance(target, (list, tuple))
         return BlockView(self, rows, single)
 
-    def pair_force(self, a: Any, b: Any) -> np.ndarray:
-        """Total force (3,) on `b` by `a` [N]."""
-        return self._pair(a, b)[0]
-
-    def pair_moment(self, a: Any, b: Any) -> np.ndarray:
-        """Total moment (3,) on `b` by `a` about b's centroid [N m]."""
-        return self._pair(a, b)[1]
-
-    def _pair(self, a: Any, b: Any) -> tuple[np.ndarray, np.ndarray]:
-        select, table = self.compiled.select, self.contact_table()
-        first, second = select.blocks(a, "pair"), select.blocks(b, "pair")
-        sign = np.where(np.isin(table["block_a"], first) & np.isin(table["block_b"], second), 1.0, 0.0)
-        sign -= np.isin(table["block_b"], first) & np.isin(table["block_a"], second)
-        force = sign[:, None] * table["force"]
-        weight = self.model.volume[second]
-        centre = weight @ (self.centroids()[second] + self.model.origin) / weight.sum()
-        return force.sum(axis=0), np.cross(table["position"] - centre, force).sum(axis=0)
-
-    def describe(self) -> str:
-        """What was compiled, what was left out and why, the step and what limits it."""
-        from fdem.description import describe
-
-        return describe(self)
-
-    def mesh(self) -> Any:
-        """Everything as one `pyvista.UnstructuredGrid`."""
-        from fdem.results.datasets import mesh
-
-        return mesh(self)
-
-    def contacts(self) -> Any:
-        """Contact points as `pyvista.PolyData`."""
-        from fdem.results.datasets import contacts
-
-        return contacts(self)
-
-    def plot(self, path: str | Path, scalars: str = "displacement", warp: float | str = 1.0, **options: Any) -> Path:
-        """Write an image with no display (options: `fdem.results.plot.plot`)."""
-        from fdem.results.plot import plot
-
-        return plot(self, path, scalars, warp, **options)
-
     def save(self, path: str | Path) -> None:
         """Save the state, so that `load` continues bit for bit."""
         checkpoint.save(self, path)
-
-
-class _WithoutStep:
-    """An observer whose ``next`` takes no length of the step."""
-
-    def __init__(self, observer: Any) -> None:
-        self._observer = observer
-        self.record = observer.record
-
-    def next(self, step: int, t: float, dt: float) -> int:
-        """Steps until due."""
-        return int(self._observer.next(step, t))
 
 
 def _fit(dt: float, left: float) -> float:
@@ -509,7 +400,6 @@ def _fit(dt: float, left: float) -> float:
     if left <= dt * (1 + 1e-6):
         return left
     return 0.5 * left if left < 2 * dt else dt
-
 
 
 def _saved(path: str | Path, scene: Scene, integrator: Any) -> Simulation:
@@ -550,5 +440,3 @@ def load(path: str | Path, scene: Scene, integrator: Any, **options: Any) -> Sim
     sim = Simulation(scene, integrator, **options)
     checkpoint.restore(saved, sim)
     return sim
-
-

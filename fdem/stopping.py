@@ -2,12 +2,45 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-__all__ = ["Watch"]
+__all__ = ["Report", "Watch"]
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a `Simulation.solve` ended.
+
+    Attributes
+    ----------
+    converged : bool
+        Whether equilibrium was reached.
+    reason : str
+        "equilibrium", "cycles" or "collapse".
+    cycles : int
+        Steps taken.
+    ratio, start_ratio : float
+        Solve ratio at the end and at the start.
+    kinetic_ratio : float
+        Kinetic energy over its largest value of this solve.
+    remaining : float
+        Estimated displacement still to come over the largest displacement so far.
+    wall_time : float
+        [s].
+    """
+
+    converged: bool
+    reason: str
+    cycles: int
+    ratio: float
+    start_ratio: float
+    kinetic_ratio: float
+    remaining: float
+    wall_time: float
 
 
 class Watch:

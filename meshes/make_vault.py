@@ -8,6 +8,7 @@ voussoir, as other programs write such files.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ def main(path: Path = Path(__file__).parent / "vault.obj") -> None:
     for course in range(COURSES):
         y = np.array([course, course + 1]) * LENGTH
         joints = angles(course)
-        for k, (a, b) in enumerate(zip(joints[:-1], joints[1:], strict=True)):
+        for k, (a, b) in enumerate(pairwise(joints)):
             lines.append(f"o voussoir_{course}_{k}")
             for depth in y:
                 for radius, angle in ((INNER, a), (OUTER, a), (OUTER, b), (INNER, b)):

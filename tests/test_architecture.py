@@ -41,11 +41,11 @@ ARROWS = {
     "integrate": BASE,
     "integrate.system": BASE | NUMERIC,
     "results": BASE | {"model", "state"},
-    "readout": BASE | {"model", "state", "integrate", "results"},
+    "readout": BASE | {"model", "state", "contact", "integrate", "results", "description"},
     "stopping": BASE | {"model", "state"},
-    "description": BASE | {"model", "state"},
+    "description": BASE | {"model", "state", "contact"},
     "views": BASE | {"model", "state", "results"},
-    "checkpoint": BASE | {"model", "state", "scene"},
+    "checkpoint": BASE | {"model", "state", "contact", "scene"},
     "simulation": BASE | NUMERIC | {"scene", "compile", "integrate", "results"} | FRONT,
 }
 # third-party packages a part may import inside functions; numpy may be imported at the top anywhere

@@ -29,7 +29,7 @@ def run(name: str, *arguments, **named):
 @pytest.mark.parametrize("name", CASES)
 def test_example(name, tmp_path):
     bound, pictures = CASES[name]
-    number = run(name, folder=tmp_path) if name != "imported" else run(name, EXAMPLES.parent / "meshes" / "vault.obj", 1.0, tmp_path)
+    number = run(name, folder=tmp_path)
     assert number < bound
     for picture in pictures:
         assert (tmp_path / picture).stat().st_size > 10_000

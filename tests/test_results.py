@@ -32,7 +32,8 @@ def make_view(blocks: int = 3, scale: float = 1.0) -> SimpleNamespace:
     X = scale * np.concatenate(corners)
     ids = np.arange(blocks, dtype=np.int32)
     model = SimpleNamespace(
-        names=[f"b{i}" for i in range(blocks)], groups=["wall"] * (blocks - 1) + [None], gp_block=np.repeat(ids, 8), X=X,
+        names=[f"b{i}" for i in range(blocks)], groups=["wall"] * (blocks - 1) + [None],
+        gp_block=np.repeat(ids, 8), X=X,
         zones=np.concatenate([ZONES + 8 * i for i in range(blocks - 1)]).astype(np.int32),
         zone_block=np.repeat(ids[:-1], 6),
         triangles=np.concatenate([TRIANGLES + 8 * i for i in range(blocks)]).astype(np.int32),

@@ -199,9 +199,13 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
         zones=zones,
         zone_block=zone_block,
         zone_start=zone_start,
-        triangles=np.vstack([t + s for t, (s, _) in zip(layout.triangles, layout.gp_range, strict=True)]).astype(np.int32),
+        triangles=np.vstack([t + s for t, (s, _) in zip(layout.triangles, layout.gp_range, strict=True)]).astype(
+            np.int32
+        ),
         triangle_block=np.repeat(np.arange(len(counts)), counts).astype(np.int32),
-        triangle_tag=np.array([-1 if t is None else number[t] for tags_ in layout.triangle_tags for t in tags_], dtype=np.int32),
+        triangle_tag=np.array(
+            [-1 if t is None else number[t] for tags_ in layout.triangle_tags for t in tags_], dtype=np.int32
+        ),
         tags=tags,
         batches=tuple(b for b in (body, deformable) if b is not None),
         rigid=body,
@@ -243,7 +247,14 @@ def _zones(layout: Layout, zoned: list[int]) -> tuple[np.ndarray, np.ndarray, np
 
 
 def _zoned_batch(
-    layout: Layout, zoned: list[int], X: np.ndarray, zones: np.ndarray, zone_start: np.ndarray, state: State, threads: int, notes: list[str]
+    layout: Layout,
+    zoned: list[int],
+    X: np.ndarray,
+    zones: np.ndarray,
+    zone_start: np.ndarray,
+    state: State,
+    threads: int,
+    notes: list[str],
 ) -> Any:
     from fdem.blocks.zoned import ZonedBlocks
 
@@ -340,7 +351,8 @@ def _warn_inertia(layout: Layout, zoned: list[int], batch: Any, notes: list[str]
     )
     if ratio.max() > 1.1 or shift.max() > 0.1:
         warnings.warn(
-            f"block {layout.blocks[zoned[worst]].name!r}: lumped masses give {ratio.max():.2f} times the exact inertia; "
+            f"block {layout.blocks[zoned[worst]].name!r}: lumped masses give {ratio.max():.2f} times the exact "
+            "inertia; "
             'a finer size or Zoned(mass="inertia-matched") helps where blocks rotate',
             FdemWarning,
             stacklevel=2,

@@ -10,7 +10,6 @@ import numpy as np
 from fdem.compile.assembly import Layout
 from fdem.compile.select import Selector
 from fdem.errors import FdemWarning, JointError
-from fdem.model import Model
 from fdem.scene.joints import Joint
 from fdem.scene.scene import JointRule, choose
 
@@ -117,12 +116,14 @@ class JointTables:
         for row in np.flatnonzero(chosen < 0):
             if int(pair[row]) not in known:
                 a, b = (self.model.names[i] for i in sorted((block_a[row], block_b[row])))
-                raise JointError(f"blocks {a!r} and {b!r} can touch, but no joint law covers them; add scene.joint(law)")
+                raise JointError(
+                    f"blocks {a!r} and {b!r} can touch, but no joint law covers them; add scene.joint(law)"
+                )
             chosen[row] = known[int(pair[row])]
 
     def _stiffness(self, rule: JointRule) -> tuple[float, float]:
         """Stiffness of a rule; what the user left out is chosen as CONTACT.md 3.12 proposes."""
-        law, layout, model = rule.law, self.layout, self.model
+        law, layout = rule.law, self.layout
         poisson = None
         kn = law.kn
         if kn is None:

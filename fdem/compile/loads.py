@@ -151,7 +151,9 @@ def _pressure(select: Selector, applied: Applied) -> numeric.Load:
     return numeric.Follower(applied, triangles, np.ascontiguousarray(pressure))
 
 
-def _face_matrices(select: Selector, rows: np.ndarray, normal: np.ndarray, shear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _face_matrices(
+    select: Selector, rows: np.ndarray, normal: np.ndarray, shear: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Gridpoints and (3, 3) matrices of a face property, a third of each triangle's area to a corner."""
     area = select.area_vectors(rows)
     size = np.linalg.norm(area, axis=1)

@@ -62,7 +62,9 @@ def _basis(vectors: np.ndarray) -> np.ndarray:
     return right[: int((singular > 1e-6 * singular[0]).sum())]
 
 
-def _fix(select: Selector, fix: Fix, fixed: np.ndarray, normals: dict[int, list[np.ndarray]], constraints: Constraints) -> None:
+def _fix(
+    select: Selector, fix: Fix, fixed: np.ndarray, normals: dict[int, list[np.ndarray]], constraints: Constraints
+) -> None:
     model = select.model
     gp = select.gridpoints(fix.target, fix.where, "fix")
     components = fix.components or ("x", "y", "z", "rotation")
@@ -157,7 +159,9 @@ def _held(handle: Any, dofs: np.ndarray) -> Directions:
             if (dof - axis) % 3 == 0:
                 rows.append(dof - axis)
                 projectors.append(np.diag(np.eye(3)[axis]))
-    return Directions(handle, np.array(rows, dtype=np.int64), np.array(projectors).reshape(-1, 3, 3), np.zeros(0, dtype=np.int64))
+    return Directions(
+        handle, np.array(rows, dtype=np.int64), np.array(projectors).reshape(-1, 3, 3), np.zeros(0, dtype=np.int64)
+    )
 
 
 def _approach(select: Selector, applied: Applied, constraints: Constraints) -> Approach:

@@ -200,8 +200,6 @@ class Surfaces:
             geo.normal,
             self.convex,
             self.open,
-            geo.lower,
-            geo.upper,
             self.limit,
         )
         owner = np.repeat(np.arange(self.n_faces), np.diff(self.corner_start))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from inspect import signature
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,7 +17,18 @@ from numpy.typing import NDArray
 
 from fdem.errors import SceneError
 
-__all__ = ["NEVER", "QUANTITIES", "Every", "History", "Observer", "Quantity", "as_every", "quantity"]
+__all__ = [
+    "NEVER",
+    "QUANTITIES",
+    "Every",
+    "History",
+    "Observer",
+    "Quantity",
+    "adapted",
+    "as_every",
+    "quantity",
+    "watch",
+]
 
 NEVER = 2**62  # steps until something that does not come
 
@@ -329,3 +341,35 @@ class History:
     def __repr__(self) -> str:
         """Name, unit and length."""
         return f"History({self.name!r}, unit={self.unit!r}, records={self._n})"
+
+
+class _WithoutStep:
+    """An observer whose ``next`` takes no length of the step."""
+
+    def __init__(self, observer: Any) -> None:
+        self._observer = observer
+        self.record = observer.record
+
+    def next(self, step: int, t: float, dt: float) -> int:
+        """Steps until due."""
+        return int(self._observer.next(step, t))
+
+
+def adapted(observer: Any) -> Any:
+    """The observer itself, or one that drops the length of the step if its ``next`` takes none."""
+    try:
+        signature(observer.next).bind(0, 0.0, 0.0)
+    except TypeError:
+        return _WithoutStep(observer)
+    return observer
+
+
+def watch(target: Any, name: str | None, component: str | int | None, every: Every | int | None) -> History:
+    """History of what `Simulation.history` was asked for: a callable, a quantity of all, or one of a target."""
+    if callable(target):
+        return History(target, every, name or "")
+    if name is None:
+        getter, unit = quantity(target, component)
+        return History(getter, every, str(target), unit)
+    getter, unit = quantity(name, component)
+    return History(lambda sim: getter(sim[target]), every, name, unit)

@@ -288,7 +288,8 @@ def evaluate(owner: str, value: Any, places: np.ndarray, shape: tuple[int, ...])
     if result.shape == shape:
         result = np.broadcast_to(result, expected)
     if result.shape != expected:
-        raise SceneError(f"{owner}: the function returned shape {result.shape} for {len(places)} places, expected {expected}")
+        raise SceneError(f"{owner}: the function returned shape {result.shape}, expected {expected}")
     if not np.isfinite(result).all():
-        raise SceneError(f"{owner}: the function returned a value that is not finite at {places[~np.isfinite(result.reshape(len(places), -1)).all(1)][0]}")
+        bad = places[~np.isfinite(result.reshape(len(places), -1)).all(axis=1)][0]
+        raise SceneError(f"{owner}: the function returned a value that is not finite at {bad}")
     return result

@@ -53,7 +53,8 @@ def vector(owner: str, field: str, value: Any, sizes: tuple[int, ...] = (3,)) ->
     except (TypeError, ValueError):
         raise SceneError(f"{owner}: {field} = {value!r} is not a vector of numbers") from None
     if result.shape not in {(size,) for size in sizes}:
-        raise SceneError(f"{owner}: {field} has shape {result.shape}, allowed are {' or '.join(map(str, sizes))} numbers")
+        allowed = " or ".join(map(str, sizes))
+        raise SceneError(f"{owner}: {field} has shape {result.shape}, allowed are {allowed} numbers")
     if not np.isfinite(result).all():
         raise SceneError(f"{owner}: {field} = {value!r} is not finite")
     return result

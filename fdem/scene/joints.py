@@ -102,7 +102,8 @@ class Coulomb(Joint):
                 number("Coulomb", field, getattr(self, field), low=0.0, high=high)
         for field in ("rolling", "twisting"):
             if number("Coulomb", field, getattr(self, field), low=0.0) > 0:
-                raise UnsupportedError(f"Coulomb: {field} = {getattr(self, field)!r}: contact moments are not there yet")
+                value = getattr(self, field)
+                raise UnsupportedError(f"Coulomb: {field} = {value!r}: contact moments are not there yet")
 
     def properties(self, kn: float, ks: float) -> tuple[float, ...]:
         """Row of the table of the "coulomb" sweep (kernels/joints.py)."""
