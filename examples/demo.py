@@ -79,9 +79,8 @@ def excavate(scene: fdem.Scene, verbose: bool) -> tuple[fdem.Simulation, dict[st
     wall = sim.history(scene.gridpoint((RADIUS, 0, 0), "rock"), "displacement", component="x", every=25)
     if verbose:
         print(sim.describe())
-        print(
-            f"in situ: {initial.reason}, ratio {initial.start_ratio:.1e} -> {initial.ratio:.1e}, {initial.cycles} cycles"
-        )
+        start = f"ratio {initial.start_ratio:.1e} -> {initial.ratio:.1e}"
+        print(f"in situ: {initial.reason}, {start}, {initial.cycles} cycles")
     for stage in ("heading", "bench"):
         sim.excavate(stage, over=300)
         report = sim.solve(ratio=1e-5, max_cycles=60_000)

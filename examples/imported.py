@@ -36,7 +36,7 @@ def main(path: Path = MESH, scale: float = 1.0, folder: Path = Path("out")) -> f
     folder.mkdir(parents=True, exist_ok=True)
     sim.plot(folder / f"imported_{path.parent.name}_{path.stem}.png", scalars="displacement", warp="auto")
     print(
-        f"{len(blocks)} blocks, {len(free)} free, {report.reason} after {report.cycles} cycles, ratio {report.ratio:.1e}"
+        f"{len(blocks)} blocks, {len(free)} free: {report.reason}, {report.cycles} cycles, ratio {report.ratio:.1e}"
     )
     return error
 

@@ -256,7 +256,7 @@ class Contacts:
         worn = self._worn(x)
         if not worn.any():
             return False
-        self._replace(np.flatnonzero(worn).astype(np.int32), x)
+        self._replace(np.flatnonzero(worn).astype(np.int32), x, self._slip_energies())
         return True
 
     def _worn(self, x: Array) -> Any:
@@ -284,7 +284,11 @@ class Contacts:
         due |= ~known
         due[at_new] |= worn[at_old] > 0
         self._orient()
-        self.patches = self.patches.take(np.flatnonzero(new_index[self.patches.pair] >= 0))
+        there = new_index[self.patches.pair] >= 0
+        slip = self._slip_energies()
+        self._lose_slip(float(slip[~there].sum()))
+        slip = slip[there]
+        self.patches = self.patches.take(np.flatnonzero(there))
         self.patches.pair = new_index[self.patches.pair]
         self.ghosts = self.ghosts.without(new_index < 0)
         self.ghosts.pair = new_index[self.ghosts.pair]
@@ -292,11 +296,26 @@ class Contacts:
             ids = self.surfaces.surface_gp[self.surfaces.surface_start[b] : self.surfaces.surface_start[b + 1]]
             self.x_ref[ids] = x[ids]
         self.n_detections += 1
-        self._replace(np.flatnonzero(due).astype(np.int32), x)
+        self._replace(np.flatnonzero(due).astype(np.int32), x, slip)
         return True
 
-    def _replace(self, which: Ints, x: Array) -> None:
-        """Cut the pairs `which` anew and merge the result with the patches of all others."""
+    def _slip_energies(self) -> Array:
+        """Elastic slip energy (n_patches,) of the last committed state [J]."""
+        p = self.patches
+        length = (p.memory_old[:, :3] ** 2).sum(axis=1)
+        energies: Array = 0.5 * self._ks * (self._area * length).reshape(-1, 3).sum(axis=1) * (p.active_old > 0)
+        return energies
+
+    def _lose_slip(self, energy: float) -> None:
+        """Count elastic slip energy that goes with its patches as dissipated [J] (negative: it came with new ones)."""
+        self.work[0] += energy
+        self._stored = self.energy() - energy
+
+    def _replace(self, which: Ints, x: Array, slip: Array) -> None:
+        """Cut the pairs `which` anew and merge the result with the patches of all others.
+
+        `slip` (n_patches,) [J] is their elastic slip energy: what the new patches do not take over was dissipated.
+        """
         self.energy()  # the arrays it reads are about to go
         mask = np.zeros(len(self.pairs), bool)
         mask[which] = True
@@ -307,7 +326,10 @@ class Contacts:
         merged, ids = self.patches, kept
         if len(which):
             cut = self._cut(which, x, old, raise_deep=OverlapError)
-            inherit_history(self.surfaces, old, cut.patches, x)
+            new = cut.patches
+            area = inherit_history(self.surfaces, old, new, x)
+            taken = kernels.slip_energy(area, new.memory_old, self._stiffness_of(new)[1], new.active_old)
+            self._lose_slip(float(slip[touched].sum()) - taken)
             merged, ids = cut.patches, np.arange(len(cut.patches))
             if len(kept):
                 merged, ids = Patches.join(self.patches, merged), np.concatenate([kept, len(self.patches) + ids])
@@ -324,6 +346,14 @@ class Contacts:
         self.x_check[:] = x
         self._prepare()
 
+    def _stiffness_of(self, p: Patches) -> tuple[Array, Array]:
+        """Normal and shear stiffness (n,) of patches [Pa/m]."""
+        kn, ks = np.zeros(len(p)), np.zeros(len(p))
+        for k, law in enumerate(self.laws):
+            mine = p.law == k
+            kn[mine], ks[mine] = law.props[p.prop[mine], 0], law.props[p.prop[mine], 1]
+        return kn, ks
+
     def _prepare(self) -> None:
         p, s = self.patches, self.surfaces
         n = len(p)
@@ -336,10 +366,7 @@ class Contacts:
         self._damped = any(
             law.damped and self._law_start[k + 1] > self._law_start[k] for k, law in enumerate(self.laws)
         )
-        self._kn, self._ks = np.zeros(n), np.zeros(n)
-        for k, law in enumerate(self.laws):
-            mine = slice(self._law_start[k], self._law_start[k + 1])
-            self._kn[mine], self._ks[mine] = law.props[p.prop[mine], 0], law.props[p.prop[mine], 1]
+        self._kn, self._ks = self._stiffness_of(p)
         self._points, self._active = p.points_old.copy(), np.zeros(n, np.uint8)
         self._memory_start = np.zeros((3 * n, self.n_memory))
         self._memory = np.zeros((3 * n, self.n_memory))

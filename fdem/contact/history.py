@@ -65,10 +65,17 @@ def inherit_laws(old: Patches, new: Patches, n_faces: int) -> Any:
     return ~found
 
 
-def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) -> None:
-    """Fill points, activity and memory of `new` patches from `old` ones of the same pairs (CONTACT.md 3.7)."""
+def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) -> Array:
+    """Fill points, activity and memory of `new` patches from `old` ones of the same pairs (CONTACT.md 3.7).
+
+    Returns
+    -------
+    (n,) array
+        Closed area of the new patches in the positions `x` [m2].
+    """
+    area = np.zeros(len(new))
     if not len(new):
-        return
+        return area
     order = np.lexsort((old.face_m, old.face_s, old.pair))
     old = old.take(order)
     old_face = old.pair.astype(np.int64) * surfaces.n_faces + old.face_s
@@ -84,11 +91,13 @@ def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) ->
     bonded[found] = flag[at[found]]
     bonded &= ((new.flags & kernels.WHOLE) > 0).astype(np.uint8)
     kernels.closed_points(
-        new.gp, new.start, new.corners, new.offset, new.flags, bonded, new.ref_points, x, new.points_old, new.active_old
-    )
+        new.gp, new.start, new.corners, new.offset, bonded, new.ref_points, new.ref_ratio, x, new.points_old,
+        new.active_old, area,
+    )  # fmt: skip
     e1, e2 = x[new.gp[:, 1]] - x[new.gp[:, 0]], x[new.gp[:, 2]] - x[new.gp[:, 0]]
     metric = np.column_stack([np.einsum("ij,ij->i", *p) for p in ((e1, e1), (e1, e2), (e2, e2))])
     kernels.inherit(
         new.face_m, new.points_old, metric, begin, end, old.face_m,
         old.points_old, old.active_old, old.memory_old, new.active_old, new.memory_old,
     )  # fmt: skip
+    return area

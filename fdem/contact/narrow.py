@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdem.contact.surface import FaceGeometry, Surfaces
-from fdem.kernels import geometry as clip
+from fdem.kernels import clipping
+from fdem.kernels import geometry as faces
 from fdem.kernels import patches as kernels
 
 __all__ = ["Ghosts", "Patches", "cut_pairs"]
@@ -147,16 +148,21 @@ def cut_pairs(
     geometry.refresh(s, x, blocks)
     size = np.minimum(s.size[slave], s.size[master])[which]
     g = geometry
-    out = clip.clip_pairs(
-        slave[which], master[which], window[which], size, int(np.diff(s.corner_start).max()),
-        s.face_start, s.corner_start, s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open,
-        x, g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper, g.block_lower, g.block_upper,
+    near = faces.face_pairs(
+        slave[which], master[which], window[which], size, s.face_start, s.corner_start, s.limit, g.corner_x, g.normal,
+        g.lower, g.upper, g.block_lower, g.block_upper,
     )  # fmt: skip
-    local, face_s, face_m, start, corners, margin, miss, miss_face, too_deep = out
+    key, corners, margin, miss, miss_face, too_deep = clipping.clip_faces(
+        *near, master[which], window[which], size, int(np.diff(s.corner_start).max()), s.face_start, s.corner_start,
+        s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.lower,
+        g.upper,
+    )  # fmt: skip
+    local, face_s, face_m = np.ascontiguousarray(key[:, :3].T)
+    start = np.r_[0, key[:, 3]].astype(np.int32)
     n = len(local)
     bare = np.flatnonzero(np.bincount(local, minlength=len(which)) == 0)
     lost = np.zeros(len(bare), np.uint8)
-    clip.swallowed(
+    faces.swallowed(
         slave[which[bare]], master[which[bare]], g.block_lower, g.block_upper, s.face_start, s.corner_start, g.corner_x,
         s.open, lost,
     )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 
 from fdem.constraints import Constraints
 from fdem.errors import UnstableError
-from fdem.integrate.bounds import joint_stiffness
+from fdem.blocks.bounds import joint_stiffness
 from fdem.loads import Bedding, Dashpot, Load
 from fdem.model import Model
 from fdem.state import State

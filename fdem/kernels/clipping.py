@@ -495,7 +495,7 @@ def clip_faces(
         m, h, snap = master[p], window[p], SNAP * size[p]
         prove = not convex[m] and not is_open[m]
         for row in range(pair_start[p], pair_start[p + 1]):
-            a, f = faces[row]
+            a, f = faces[row, 0], faces[row, 1]
             count, triangle = _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, df, poly, tmp)
             if count == 0:
                 continue
@@ -510,7 +510,7 @@ def clip_faces(
                 margin = min(margin, nearest)
             if n_pieces == 0 and lost < miss[p]:
                 miss[p] = lost
-                miss_face[p] = a, f
+                miss_face[p, 0], miss_face[p, 1] = a, f
             smallest = 1e-12 * size[p] * size[p] / triangle
             for q in range(n_pieces):
                 count, answer = 0, 0
@@ -530,25 +530,7 @@ def clip_faces(
                     corners = np.concatenate((corners, np.empty_like(corners)))
                 corners[n_corners : n_corners + count] = bufs[q, :count]
                 n_corners += count
-                key[n_out] = p, a, f, n_corners
+                key[n_out, 0], key[n_out, 1], key[n_out, 2], key[n_out, 3] = p, a, f, n_corners
                 margins[n_out] = margin if answer == 0 else 0.0
                 n_out += 1
     return key[:n_out], corners[:n_corners], margins[:n_out], miss, miss_face, too_deep
-
-
-@kernel
-def swallowed(slave, master, block_lower, block_upper, face_start, corner_start, corner_x, is_open, out):
-    """Mark pairs (n_pairs,) uint8 one block of which lies inside the other: box in box, then one corner."""
-    for p in range(len(slave)):
-        for turn in range(2):
-            a, b = (slave[p], master[p]) if turn == 0 else (master[p], slave[p])
-            if is_open[b]:
-                continue
-            within = True
-            for d in range(3):
-                if not (block_lower[a, d] > block_lower[b, d] and block_upper[a, d] < block_upper[b, d]):
-                    within = False
-            if not within:
-                continue
-            if _inside(corner_x[corner_start[face_start[a]]], b, face_start, corner_start, corner_x):
-                out[p] = 1

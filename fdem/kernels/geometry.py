@@ -299,3 +299,39 @@ def face_pairs(
             out[first:n_out, 0] = np.sort(out[first:n_out, 0])
         start[p + 1] = n_out
     return start, out[:n_out]
+
+
+@kernel
+def _inside(o, b, face_start, corner_start, corner_x):
+    """Whether the point `o` lies inside the closed surface of block b (Van Oosterom and Strackee, 1983)."""
+    angle = 0.0
+    for f in range(face_start[b], face_start[b + 1]):
+        first = corner_start[f]
+        for c in range(first + 1, corner_start[f + 1] - 1):
+            ax, ay, az = corner_x[first, 0] - o[0], corner_x[first, 1] - o[1], corner_x[first, 2] - o[2]
+            bx, by, bz = corner_x[c, 0] - o[0], corner_x[c, 1] - o[1], corner_x[c, 2] - o[2]
+            cx, cy, cz = corner_x[c + 1, 0] - o[0], corner_x[c + 1, 1] - o[1], corner_x[c + 1, 2] - o[2]
+            la, lb = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
+            lc = math.sqrt(cx * cx + cy * cy + cz * cz)
+            triple = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+            ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
+            angle += 2.0 * math.atan2(triple, la * lb * lc + ab * lc + bc * la + ca * lb)
+    return angle > 2.0 * math.pi
+
+
+@kernel
+def swallowed(slave, master, block_lower, block_upper, face_start, corner_start, corner_x, is_open, out):
+    """Mark pairs (n_pairs,) uint8 one block of which lies inside the other: box in box, then one corner."""
+    for p in range(len(slave)):
+        for turn in range(2):
+            a, b = (slave[p], master[p]) if turn == 0 else (master[p], slave[p])
+            if is_open[b]:
+                continue
+            within = True
+            for d in range(3):
+                if not (block_lower[a, d] > block_lower[b, d] and block_upper[a, d] < block_upper[b, d]):
+                    within = False
+            if not within:
+                continue
+            if _inside(corner_x[corner_start[face_start[a]]], b, face_start, corner_start, corner_x):
+                out[p] = 1

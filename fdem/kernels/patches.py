@@ -98,7 +98,7 @@ def measure(gp, start, corners, offset, x, area, closed, align, depth, plane_dep
         longest = max(longest, start[i + 1] - start[i])
     poly, pts, frame = np.empty((2 * longest + 2, 2)), np.empty((3, 2)), np.empty(6)
     for i in range(len(area)):
-        double = _two_normals(gp[i], x, frame)
+        double = _two_normals(gp, i, x, frame)
         for k in range(3):
             s, m = gp[i, k], gp[i, 3]
             plane_depth[i, k] = (
@@ -185,12 +185,12 @@ def latent_reach(local, skip, start, corners, depth, area, ratio, level, out):
 
 
 @kernel
-def _two_normals(g, x, out):
-    """Unit normals of slave (0:3) and master face (3:6); returns twice the area of the slave's triangle."""
+def _two_normals(gp, i, x, out):
+    """Unit normals of slave (0:3) and master face (3:6) of patch i; returns twice the area of the slave's triangle."""
     double = 0.0
     for side in range(2):
         o = 3 * side
-        p, q, r = g[o], g[o + 1], g[o + 2]
+        p, q, r = gp[i, o], gp[i, o + 1], gp[i, o + 2]
         ax, ay, az = x[q, 0] - x[p, 0], x[q, 1] - x[p, 1], x[q, 2] - x[p, 2]
         bx, by, bz = x[r, 0] - x[p, 0], x[r, 1] - x[p, 1], x[r, 2] - x[p, 2]
         nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -636,7 +636,7 @@ def worn_pairs(gp, pair, w, reach, normal_reach, x, out):
     for i in range(len(gp)):
         if out[pair[i]]:
             continue
-        _two_normals(gp[i], x, frame)
+        _two_normals(gp, i, x, frame)
         for q in range(3 * i, 3 * i + 3):
             s, across = 0.0, 0.0
             for d in range(3):
@@ -697,16 +697,15 @@ def inherit(
 
 
 @kernel
-def closed_points(gp, start, corners, offset, flags, memory_flag, ref_points, x, points, active):
-    """Points (n, 3, 2) of the parts closed in `x`; whole polygons where `memory_flag` (n,) says the patch is bonded."""
+def closed_points(gp, start, corners, offset, bonded, ref_points, ref_ratio, x, points, active, area):
+    """Points (n, 3, 2) and area (n,) [m2] of the parts closed in `x`; of the whole polygons where `bonded` (n,) says so."""
     longest = 3
     for i in range(len(gp)):
         longest = max(longest, start[i + 1] - start[i])
-    poly, frame = np.empty((2 * longest + 2, 2)), np.empty(6)
+    poly, pts, frame, depth = np.empty((2 * longest + 2, 2)), np.empty((3, 2)), np.empty(6), np.empty(3)
     for i in range(len(gp)):
-        _two_normals(gp[i], x, frame)
+        double = _two_normals(gp, i, x, frame)
         m = gp[i, 3]
-        depth = np.empty(3)
         for k in range(3):
             s = gp[i, k]
             depth[k] = -offset[i, k]
@@ -717,13 +716,29 @@ def closed_points(gp, start, corners, offset, flags, memory_flag, ref_points, x,
             w1, w2 = corners[k, 0], corners[k, 1]
             low = min(low, depth[0] * (1.0 - w1 - w2) + depth[1] * w1 + depth[2] * w2)
         active[i] = 1
-        if low >= 0.0 or memory_flag[i]:
-            points[i] = ref_points[i]
-            continue
-        n = _close(corners, start[i], start[i + 1], depth[0], depth[1], depth[2], poly)
-        if n < 3 or not _moment_points(poly, n, points[i]) > 0.0:
-            active[i] = 0
-            points[i] = ref_points[i]
+        ratio = ref_ratio[i]
+        points[i] = ref_points[i]
+        if low < 0.0 and not bonded[i]:
+            n = _close(corners, start[i], start[i + 1], depth[0], depth[1], depth[2], poly)
+            ratio = _moment_points(poly, n, pts) if n >= 3 else 0.0
+            if ratio > 0.0:
+                points[i] = pts
+            else:
+                active[i] = 0
+        area[i] = 0.5 * double * max(ratio, 0.0)
+
+
+@kernel
+def slip_energy(area, memory, ks, active):
+    """Elastic slip energy [J] of the patches with `area` (n,) [m2]: ``1/2 ks s^2 a`` over the three points of each."""
+    total = 0.0
+    for i in range(len(area)):
+        if active[i]:
+            s = 0.0
+            for row in range(3 * i, 3 * i + 3):
+                s += memory[row, 0] ** 2 + memory[row, 1] ** 2 + memory[row, 2] ** 2
+            total += ks[i] * area[i] * s / 6.0
+    return total
 
 
 @kernel

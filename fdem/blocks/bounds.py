@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["joint_stiffness"]
+from fdem.kernels import blocks as kernels
 
-ALIGNED = 0.99  # of the two normals: beyond, a joint has its normal and shear stiffness, else the larger all round
+__all__ = ["joint_stiffness"]
 
 
 def joint_stiffness(
@@ -44,25 +44,5 @@ def joint_stiffness(
     """
     gp, w, frame, kn, ks = rows
     result = np.zeros((len(centre), 6, 6))
-    if not len(gp):
-        return result
-    point = np.einsum("nk,nki->ni", w[:, :3], x[gp[:, :3]])
-    normal = frame[:, 0]
-    own = np.cross(x[gp[:, 1]] - x[gp[:, 0]], x[gp[:, 2]] - x[gp[:, 0]])
-    aligned = np.abs(np.einsum("ni,ni->n", own, normal)) > ALIGNED * np.linalg.norm(own, axis=1)
-    shear = np.where(aligned, ks, np.maximum(kn, ks))
-    straight = np.where(aligned, kn, shear)
-    along = (straight - shear)[:, None, None] * normal[:, :, None] * normal[:, None, :]
-    spring = shear[:, None, None] * np.eye(3) + along
-    sides = gp_block[gp[:, 0]], gp_block[gp[:, 3]]
-    spring *= np.where(mobile[sides[0]] & mobile[sides[1]], 2.0, 1.0)[:, None, None]
-    for side in sides:
-        mine = np.flatnonzero((place[side] >= 0) & mobile[side])
-        target = place[side[mine]]
-        arm = point[mine] - centre[target]
-        turn = np.zeros((len(mine), 3, 6))  # motion of the point: translation + rotation x arm
-        turn[:, [0, 1, 2], [0, 1, 2]] = 1.0
-        turn[:, [0, 1, 2], [4, 5, 3]] = arm[:, [2, 0, 1]]
-        turn[:, [0, 1, 2], [5, 3, 4]] = -arm[:, [1, 2, 0]]
-        np.add.at(result, target, np.swapaxes(turn, 1, 2) @ spring[mine] @ turn)
+    kernels.rigid_joints(gp, w, frame, kn, ks, x, gp_block, mobile, place, np.ascontiguousarray(centre), result)
     return result
