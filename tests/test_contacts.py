@@ -189,6 +189,37 @@ def test_preload_carries_a_stress():
     np.testing.assert_allclose(moment[1], -2e5 / 12, rtol=1e-6)
 
 
+def test_slip_energy_of_vanished_patches_is_dissipated():
+    w = pushed(coulomb(tan=10.0))
+    w.forces()
+    w.commit()
+    normal = w.contacts.energy()
+    w.shift(0, [2e-5, 0, 0])
+    w.contacts.update(w.x)
+    w.forces(1e-4)
+    w.commit()
+    slip = w.contacts.energy() - normal
+    np.testing.assert_allclose(slip, 0.5 * 5e8 * 2e-5**2, rtol=1e-2)
+    assert w.contacts.friction_work == 0.0
+    w.shift(0, [0, 0, 1.0])
+    w.contacts.update(w.x)
+    w.forces(1e-4)
+    w.commit()
+    assert w.contacts.energy() == 0.0
+    np.testing.assert_allclose(w.contacts.friction_work, slip, rtol=1e-6)
+
+
+def test_side_strips_of_a_resting_block_cause_no_cuts():
+    """A block that settles by less than what its side strips could weigh is cut once for them, not all the way."""
+    w = pushed(gap_tolerance=1e-2)
+    for _ in range(200):
+        w.shift(0, [0, 0, -1e-6])
+        w.contacts.update(w.x)
+        w.forces(1e-4)
+        w.commit()
+    assert w.contacts.n_cuts <= 4
+
+
 def test_fixed_pairs_and_filtered_pairs_are_not_listed():
     shapes = [box(1, 1, 1), move(box(1, 1, 1), t=(0, 0, 1)), move(box(1, 1, 1), t=(0, 0, 2))]
     w = World(shapes, fixed=[True, True, False], gap_tolerance=None)

@@ -132,6 +132,7 @@ class Contacts:
         self.n_detections, self.n_cuts = 0, 0
         self._stored: float | None = 0.0
         self._trial = False  # whether the working arrays hold a trial that is not committed
+        self._filled = False  # whether they hold anything: not between a cut and the next forces
         self.x_ref, self.x_check = x.copy(), x.copy()
         self.pairs = np.zeros((0, 2), np.int32)
         self.patches = Patches.none(self.n_memory)
@@ -308,8 +309,9 @@ class Contacts:
 
     def _lose_slip(self, energy: float) -> None:
         """Count elastic slip energy that goes with its patches as dissipated [J] (negative: it came with new ones)."""
-        self.work[0] += energy
-        self._stored = self.energy() - energy
+        if self._filled:
+            self.work[0] += energy
+            self._stored = self.energy() - energy
 
     def _replace(self, which: Ints, x: Array, slip: Array) -> None:
         """Cut the pairs `which` anew and merge the result with the patches of all others.
@@ -357,7 +359,7 @@ class Contacts:
     def _prepare(self) -> None:
         p, s = self.patches, self.surfaces
         n = len(p)
-        self._trial = False
+        self._trial, self._filled = False, False
         self._law_start = np.searchsorted(p.law, np.arange(len(self.laws) + 1)).tolist()
         self._thick = s.has_behind[p.face_m]
         self._inverse = np.column_stack(
@@ -433,13 +435,14 @@ class Contacts:
                     self._mass, p.prop, law.props, self._memory_start, self._memory, self._traction, self._work,
                     self._state,
                 )  # fmt: skip
-        self._trial = True
+        self._trial, self._filled = True, True
         kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._traction, f_gp)
 
     def commit(self) -> None:
         """Make the last trial the history, and add its dissipation to `work`."""
         p = self.patches
         if not len(p):
+            self._stored = 0.0
             return
         joints.total_work(self._area, self._work, self.work)
         # the exchanged arrays are written completely by the next `forces`
@@ -507,7 +510,7 @@ class Contacts:
         out |= {name: getattr(self, name).copy() for name in ("pairs", "x_ref", "x_check", "work")}
         out |= {name: getattr(self, f"_{name}").copy() for name in _LAST}
         out["counters"] = np.array([self.n_detections, self.n_cuts])
-        out["stored"] = np.array([self.energy()])
+        out["stored"], out["filled"] = np.array([self.energy()]), np.array([self._filled])
         return out
 
     def restore(self, arrays: dict[str, Any]) -> None:
@@ -531,7 +534,7 @@ class Contacts:
             self._prepare()
             for name in _LAST:
                 getattr(self, f"_{name}")[:] = arrays[name]
-            self._stored = float(arrays["stored"][0])
+            self._stored, self._filled = float(arrays["stored"][0]), bool(arrays["filled"][0])
         except KeyError as missing:
             raise CheckpointError(f"contacts: the saved state lacks {missing}") from None
 

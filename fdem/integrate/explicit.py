@@ -88,8 +88,11 @@ class Adaptive:
             system.force_before = free if phase else None
         # below the rate at which a step would turn velocities round
         half = min(system.omega * h, 0.95)
+        middle = 0.5 * v
         v *= (1.0 - half) / (1.0 + half)
         v += h / (1.0 + half) * system.accelerate(f)
+        middle += 0.5 * v
+        system.damped += 2.0 * half * system.scaled_kinetic(middle)
 
     def _measure(self, system: Any, change: np.ndarray) -> None:
         v = system.state.v.copy()

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from fdem.blocks.bounds import joint_stiffness
 from fdem.constraints import Constraints
 from fdem.errors import UnstableError
-from fdem.blocks.bounds import joint_stiffness
 from fdem.loads import Bedding, Dashpot, Load
 from fdem.model import Model
 from fdem.state import State

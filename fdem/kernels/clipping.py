@@ -294,15 +294,6 @@ def _bounds(bufs, work, n_pieces, xs, df, box):
 
 
 @kernel
-def _far(lower, upper, g, box, near):
-    """Whether the box of face g stays farther than `near` from `box` along some axis."""
-    for d in range(3):
-        if lower[g, d] > box[1, d] + near or upper[g, d] < box[0, d] - near:
-            return True
-    return False
-
-
-@kernel
 def _rivals(
     f, m, xs, df, h, snap, n_pieces, convex, affine, face_start, corner_start, corner_x, normal, wall, kind, lower,
     upper, bufs, work, tmp, part, dg, v, o, box,
@@ -310,9 +301,14 @@ def _rivals(
     """Take away what other faces of the master are nearer to; number of pieces, margin and miss as in `_own_cell`."""
     margin, miss = np.inf, np.inf
     near = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
+    lo0, lo1, lo2 = box[0, 0] - near, box[0, 1] - near, box[0, 2] - near
+    hi0, hi1, hi2 = box[1, 0] + near, box[1, 1] + near, box[1, 2] + near
     all_faces = convex and face_start[m + 1] - face_start[m] <= 32
     for g in range(face_start[m], face_start[m + 1]):
-        if g == f or (not all_faces and _far(lower, upper, g, box, near)):
+        if g == f or not all_faces and (
+            lower[g, 0] > hi0 or lower[g, 1] > hi1 or lower[g, 2] > hi2
+            or upper[g, 0] < lo0 or upper[g, 1] < lo1 or upper[g, 2] < lo2
+        ):  # fmt: skip
             continue
         cosine = normal[f, 0] * normal[g, 0] + normal[f, 1] * normal[g, 1] + normal[f, 2] * normal[g, 2]
         if cosine > (1.0 - 1e-14 if affine else 0.9):
@@ -442,7 +438,8 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
     for k in range(3):
         df[k] = -df[k]
     count = corner_start[a + 1] - corner_start[a]
-    _copy(corner_w[corner_start[a] : corner_start[a + 1]], count, poly)
+    for i in range(count):
+        poly[i, 0], poly[i, 1] = corner_w[corner_start[a] + i, 0], corner_w[corner_start[a] + i, 1]
     low, high = _extremes(poly, count, df[0], df[1], df[2])
     if high < -h:
         return 0, 0.0
