@@ -77,6 +77,7 @@ def excavate(scene: fdem.Scene, verbose: bool) -> tuple[fdem.Simulation, dict[st
     sim.reset("slip")
     crown = sim.history(scene.gridpoint((0, 0, RADIUS), "rock"), "displacement", component="z", every=25)
     wall = sim.history(scene.gridpoint((RADIUS, 0, 0), "rock"), "displacement", component="x", every=25)
+    crown.name, wall.name = "crown, vertical", "wall, horizontal"
     if verbose:
         print(sim.describe())
         start = f"ratio {initial.start_ratio:.1e} -> {initial.ratio:.1e}"
@@ -104,7 +105,7 @@ def excavate(scene: fdem.Scene, verbose: bool) -> tuple[fdem.Simulation, dict[st
     return sim, numbers, [crown, wall]
 
 
-def main(seed: int = 4, size: float = 1.2, out: Path = Path("out"), verbose: bool = True) -> dict[str, float]:
+def main(seed: int = 4, size: float = 1.6, out: Path = Path("out"), verbose: bool = True) -> dict[str, float]:
     """Run the demo; return its numbers."""
     begin = time.perf_counter()
     with warnings.catch_warnings():
@@ -118,7 +119,7 @@ def main(seed: int = 4, size: float = 1.2, out: Path = Path("out"), verbose: boo
     sim.plot(out / "demo_joint_sets.png", scalars="joint", warp=0.0, title="Rock mass by joint set")
     sim.plot(out / "demo_displacement.png", clip=opened, warp=0.0, title="Displacement around the opening")
     sim.plot(out / "demo_slip.png", scalars="slip", clip=opened, warp=0.0, title="Joint slip")
-    history_plot(histories, out / "demo_history.png")
+    history_plot(histories, out / "demo_history.png", against="steps", title="Convergence of the opening")
     if verbose:
         n_zoned = int(sim.model.zoned.sum())
         print(
@@ -138,6 +139,6 @@ def main(seed: int = 4, size: float = 1.2, out: Path = Path("out"), verbose: boo
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=4)
-    parser.add_argument("--size", type=float, default=1.2)
+    parser.add_argument("--size", type=float, default=1.6)
     parser.add_argument("--out", type=Path, default=Path("out"))
     main(**vars(parser.parse_args()))

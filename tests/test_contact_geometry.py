@@ -13,7 +13,7 @@ import fdem
 from fdem.contact import contacts as contacts_module
 from fdem.contact.narrow import cut_pairs
 from fdem.errors import OverlapError, SceneError
-from fdem.kernels import patches as kernels
+from fdem.kernels import footprints
 from fdem.scene.meshing import zone_meshes
 
 KN = 1e9
@@ -269,7 +269,7 @@ def test_moment_points_are_exact_to_degree_two():
         if (np.diff(np.r_[angle, angle[0] + 2 * np.pi]) > np.pi).any():
             continue
         points, ratio = np.zeros((1, 3, 2)), np.zeros(1)
-        kernels.reference_points(np.array([0, 7], np.int32), poly, points, ratio)
+        footprints.reference_points(np.array([0, 7], np.int32), poly, points, ratio)
         exact = np.zeros(3)
         for i in range(1, 6):
             tri = poly[[0, i, i + 1]]

@@ -3,64 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.contact import table
+from fdem.contact import startup, table
 from fdem.contact.broad import REACH, block_skins, candidate_pairs, master_first
 from fdem.contact.history import inherit_history, inherit_laws, known_offsets
+from fdem.contact.laws import LawTable
 from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
 from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
-from fdem.errors import CheckpointError, OverlapError, SceneError
-from fdem.kernels import joints
+from fdem.errors import OverlapError, SceneError
+from fdem.kernels import footprints, joints, memory, upkeep
 from fdem.kernels import patches as kernels
 
 __all__ = ["Contacts", "LawTable"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
-
-GAP = 1e-3  # default gap tolerance, of the smaller block's size
-PARALLEL = float(np.cos(np.radians(15.0)))
-TOUCH = 1e-6  # of the size: gap below which a contact exists at compile when the gap tolerance is off
-
-
-@dataclass
-class LawTable:
-    """One joint law and the properties of all joints that use it.
-
-    Parameters
-    ----------
-    kernel : str or callable
-        "coulomb", "bonded", or a kernel with the signature at the top of kernels/joints.py.
-    props : (n_props, k) array
-        Columns 0 and 1 are kn and ks [Pa/m].
-    memory : int
-        Columns of history the law needs (at least 6 are kept).
-    needs : set of str
-        "bonds": points do not move while the intact flag is set (law carries tension);
-        "damping": the law reads `mass`. The built-in laws find out from their properties.
-    """
-
-    kernel: str | Callable[..., None]
-    props: Array
-    memory: int = 6
-    needs: frozenset[str] = field(default_factory=frozenset)
-
-    def __post_init__(self) -> None:
-        self.props = np.atleast_2d(np.ascontiguousarray(self.props, dtype=float))
-        if isinstance(self.kernel, str) and self.kernel not in ("coulomb", "bonded"):
-            raise SceneError(f"joint law {self.kernel!r}: known names are 'coulomb' and 'bonded'")
-        self.sweep = getattr(joints, self.kernel) if isinstance(self.kernel, str) else self.kernel
-        n = len(self.props)
-        known = isinstance(self.kernel, str)
-        coulomb = self.kernel == "coulomb"
-        self.tensile = self.props[:, 4] > 0.0 if known else np.full(n, "bonds" in self.needs)
-        self.dilates = self.props[:, 5] > 0.0 if coulomb else np.full(n, "dilation" in self.needs)
-        self.damped = bool((self.props[:, 9] > 0.0).any()) if coulomb else "damping" in self.needs
 
 
 class Contacts:
@@ -147,41 +108,8 @@ class Contacts:
         self.pairs = candidate_pairs(self.surfaces, x, self._skins, self.may_touch)
         self._orient()
         cut = self._cut(np.arange(len(self.pairs), dtype=np.int32), x, self.patches, raise_deep=SceneError)
-        p = cut.patches
-        size = np.minimum(self.surfaces.size[self.slave[p.pair]], self.surfaces.size[self.master[p.pair]])
-        tolerance = np.full(len(p), self.gap_tolerance) if self.gap_tolerance is not None else GAP * size
-        owner = np.repeat(np.arange(len(p)), np.diff(p.start))
-        w0 = 1.0 - p.corners.sum(axis=1)
-        at_corners = np.einsum("ij,ij->i", np.column_stack([w0, p.corners]), cut.plane_depth[owner])
-        shallow = np.full(len(p), -np.inf)
-        np.maximum.at(shallow, owner, np.abs(at_corners))
-        fit = (cut.align > PARALLEL) & (shallow <= tolerance)
-        if self.gap_tolerance is None or self.gap_tolerance > 0.0:
-            p.offset[fit] = cut.plane_depth[fit]
-            strip = (
-                ~fit & (cut.depth > 0.0) & (cut.depth <= tolerance)
-            )  # beside a face that was closed: not to push either
-            p.offset[strip] = cut.depth[strip, None]
-            bad = np.flatnonzero((cut.depth > tolerance) & ~fit & ((p.flags & kernels.FACING) > 0))
-            if len(bad):
-                worst = bad[np.argmax(cut.depth[bad])]
-                raise SceneError(
-                    f"blocks {self._pair_names(p.pair[worst])} overlap by {cut.depth[worst]:.3g} m at the start, more "
-                    f"than gap_tolerance = {tolerance[worst]:.3g} m"
-                )
-        touching = fit if self.gap_tolerance is None or self.gap_tolerance > 0.0 else cut.depth > -TOUCH * size
-        touching = touching & ((p.flags & kernels.FACING) > 0)
-        p.memory_old[np.repeat(touching, 3), 3] = 1.0
-        p.points_old[:] = p.ref_points
-        p.active_old[:] = touching
-        relative = np.abs(p.offset).max(axis=1) / size if len(p) else np.zeros(0)
-        self.report = {
-            "pairs": float(len(self.pairs)),
-            "patches": float(len(p)),
-            "gaps closed": float(fit.sum()),
-            "largest gap / size": float(relative.max(initial=0.0)),
-        }
-        self._install(p, cut.ghosts, x, np.arange(len(p)))
+        self.report = startup.close_gaps(self, cut)
+        self._install(cut.patches, cut.ghosts, x, np.arange(len(cut.patches)))
         self.n_detections = 1
 
     def _orient(self) -> None:
@@ -190,7 +118,8 @@ class Contacts:
         if self.gap_tolerance is not None:
             self._window = np.maximum(self._window, self.gap_tolerance)
 
-    def _pair_names(self, pair: int) -> str:
+    def pair_names(self, pair: int) -> str:
+        """Names of the two blocks of a pair, for messages."""
         a, b = sorted((int(self.slave[pair]), int(self.master[pair])))
         return f"{self.names[a]!r} and {self.names[b]!r}"
 
@@ -203,7 +132,7 @@ class Contacts:
         )  # fmt: skip
         if len(cut.too_deep):
             raise raise_deep(
-                f"blocks {self._pair_names(cut.too_deep[0])} overlap deeper than their surfaces describe (a quarter of "
+                f"blocks {self.pair_names(cut.too_deep[0])} overlap deeper than their surfaces describe (a quarter of "
                 "the local thickness); is the joint too soft, the step too large, or a block inside another?"
             )
         p = cut.patches
@@ -247,10 +176,10 @@ class Contacts:
         s = self.surfaces
         if self.clip_always:
             return self._redo(x, np.ones(s.n_blocks, bool))
-        if not kernels.moved(s.surface_gp, s.surface_start, x, self.x_check, self._tolerance):
+        if not upkeep.moved(s.surface_gp, s.surface_start, x, self.x_check, self._tolerance):
             return False
         motion = np.zeros(s.n_blocks)
-        kernels.block_motion(s.surface_gp, s.surface_start, x, self.x_ref, motion)
+        upkeep.block_motion(s.surface_gp, s.surface_start, x, self.x_ref, motion)
         if (motion > 0.5 * self._skins).any():
             return self._redo(x, motion > 0.25 * self._skins)
         self.x_check[:] = x
@@ -263,8 +192,8 @@ class Contacts:
     def _worn(self, x: Array) -> Any:
         p, g = self.patches, self.ghosts
         worn = np.zeros(len(self.pairs), np.uint8)
-        kernels.worn_pairs(p.gp, p.pair, p.w_clip, p.reach, p.normal_reach, x, worn)
-        kernels.worn_pairs(g.gp, g.pair, g.w, g.reach, g.reach, x, worn)
+        upkeep.worn_pairs(p.gp, p.pair, p.w_clip, p.reach, p.normal_reach, x, worn)
+        upkeep.worn_pairs(g.gp, g.pair, g.w, g.reach, g.reach, x, worn)
         return worn
 
     def _redo(self, x: Array, refreshed: Any) -> bool:
@@ -330,7 +259,7 @@ class Contacts:
             cut = self._cut(which, x, old, raise_deep=OverlapError)
             new = cut.patches
             area = inherit_history(self.surfaces, old, new, x)
-            taken = kernels.slip_energy(area, new.memory_old, self._stiffness_of(new)[1], new.active_old)
+            taken = memory.slip_energy(area, new.memory_old, self._stiffness_of(new)[1], new.active_old)
             self._lose_slip(float(slip[touched].sum()) - taken)
             merged, ids = cut.patches, np.arange(len(cut.patches))
             if len(kept):
@@ -387,13 +316,12 @@ class Contacts:
         ):  # fmt: skip
             np.minimum.at(tolerance, blocks[pair], r)
         self._tolerance = tolerance
-        self._project_fixed = (
-            p.gp, p.start, p.corners, p.offset, p.flags, p.pair, p.limit, self._thick, p.ref_points, p.ref_ratio,
-            self._inverse, self._inverse_gp, self._damped,
-        )  # fmt: skip
+        depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._close_arguments = (p.gp, p.start, p.corners, p.offset, p.flags, p.limit, p.ref_points, p.ref_ratio)
+        self._closed = (self._area, self._gap, depth, face_normal)
         self._rows = (
-            self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._mass, self._facing,
-            self._pair_area, self._pair_normal, np.zeros((n, 3)), np.zeros((n, 3)),
+            self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
+            self._pair_area, self._pair_normal, depth, face_normal,
         )  # fmt: skip
 
     # ------------------------------------------------------------------ forces
@@ -418,15 +346,24 @@ class Contacts:
         p = self.patches
         if not len(p):
             return
-        deep = kernels.project(
-            *self._project_fixed, x, x_old, p.points_old, p.active_old, p.memory_old,
-            self._points, self._active, self._memory_start, *self._rows,
-        )  # fmt: skip
+        deep = footprints.close_patches(
+            *self._close_arguments, x, p.active_old, p.memory_old, self._points, self._active, *self._closed
+        )
         if deep >= 0:
             raise OverlapError(
-                f"blocks {self._pair_names(p.pair[deep])} overlap by {-self._gap[3 * deep : 3 * deep + 3].min():.3g} m"
+                f"blocks {self.pair_names(p.pair[deep])} overlap by {-self._gap[3 * deep : 3 * deep + 3].min():.3g} m"
                 f", more than their surfaces describe ({p.limit[deep]:.3g} m); joint too soft or step too large"
             )
+        kernels.fill_rows(p.gp, p.flags, p.pair, self._thick, x, x_old, self._points, self._active, *self._rows)
+        memory.carry_memory(
+            p.gp, p.flags, x, x_old, p.points_old, p.active_old, p.memory_old, self._points, self._active,
+            self._memory_start,
+        )  # fmt: skip
+        if self._damped:
+            kernels.reduced_mass(
+                p.gp, self._active, p.pair, self._pair_area, self._inverse, self._inverse_gp, self._area, self._w,
+                self._mass,
+            )  # fmt: skip
         for k, law in enumerate(self.laws):
             lo, hi = self._law_start[k], self._law_start[k + 1]
             if hi > lo:
@@ -505,39 +442,8 @@ class Contacts:
 
     def state_arrays(self) -> dict[str, Array]:
         """Everything that influences the next step, as copies; give it to `restore` of the same model."""
-        out = {f"patch_{f.name}": getattr(self.patches, f.name).copy() for f in fields(Patches)}
-        out |= {f"ghost_{f.name}": getattr(self.ghosts, f.name).copy() for f in fields(Ghosts)}
-        out |= {name: getattr(self, name).copy() for name in ("pairs", "x_ref", "x_check", "work")}
-        out |= {name: getattr(self, f"_{name}").copy() for name in _LAST}
-        out["counters"] = np.array([self.n_detections, self.n_cuts])
-        out["stored"], out["filled"] = np.array([self.energy()]), np.array([self._filled])
-        return out
+        return startup.state_arrays(self)
 
     def restore(self, arrays: dict[str, Any]) -> None:
-        """Take back what `state_arrays` returned.
-
-        Raises
-        ------
-        CheckpointError
-            The arrays do not fit this model.
-        """
-        try:
-            patches = Patches(**{f.name: np.array(arrays[f"patch_{f.name}"]) for f in fields(Patches)})
-            ghosts = Ghosts(*(np.array(arrays[f"ghost_{f.name}"]) for f in fields(Ghosts)))
-            if arrays["x_ref"].shape != self.x_ref.shape or patches.memory_old.shape[1] != self.n_memory:
-                raise CheckpointError("contacts: the saved state belongs to another model")
-            for name in ("pairs", "x_ref", "x_check", "work"):
-                setattr(self, name, np.array(arrays[name]))
-            self.n_detections, self.n_cuts = (int(c) for c in arrays["counters"])
-            self._orient()
-            self.patches, self.ghosts = patches, ghosts
-            self._prepare()
-            for name in _LAST:
-                getattr(self, f"_{name}")[:] = arrays[name]
-            self._stored, self._filled = float(arrays["stored"][0]), bool(arrays["filled"][0])
-        except KeyError as missing:
-            raise CheckpointError(f"contacts: the saved state lacks {missing}") from None
-
-
-# what the last `forces` left behind: energy() and table() read it
-_LAST = ("active", "w", "gap", "area", "align", "normal", "push", "facing", "traction", "state")
+        """Take back what `state_arrays` returned; `CheckpointError` if it does not fit this model."""
+        startup.restore(self, arrays)

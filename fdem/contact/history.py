@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fdem.contact.narrow import Patches
 from fdem.contact.surface import FaceGeometry, Surfaces
+from fdem.kernels import footprints, memory
 from fdem.kernels import patches as kernels
 
 __all__ = ["inherit_history", "inherit_laws", "known_offsets"]
@@ -90,13 +91,13 @@ def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) ->
     flag = (old.memory_old[:, 3].reshape(-1, 3).max(axis=1, initial=0.0) > 0.0) & (old.active_old > 0)
     bonded[found] = flag[at[found]]
     bonded &= ((new.flags & kernels.WHOLE) > 0).astype(np.uint8)
-    kernels.closed_points(
+    footprints.closed_points(
         new.gp, new.start, new.corners, new.offset, bonded, new.ref_points, new.ref_ratio, x, new.points_old,
         new.active_old, area,
     )  # fmt: skip
     e1, e2 = x[new.gp[:, 1]] - x[new.gp[:, 0]], x[new.gp[:, 2]] - x[new.gp[:, 0]]
     metric = np.column_stack([np.einsum("ij,ij->i", *p) for p in ((e1, e1), (e1, e2), (e2, e2))])
-    kernels.inherit(
+    memory.inherit(
         new.face_m, new.points_old, metric, begin, end, old.face_m,
         old.points_old, old.active_old, old.memory_old, new.active_old, new.memory_old,
     )  # fmt: skip

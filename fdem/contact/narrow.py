@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdem.contact.surface import FaceGeometry, Surfaces
-from fdem.kernels import clipping
+from fdem.kernels import clipping, footprints, upkeep
 from fdem.kernels import geometry as faces
 from fdem.kernels import patches as kernels
 
@@ -178,19 +178,19 @@ def cut_pairs(
         active_old=np.zeros(n, np.uint8), memory_old=np.zeros((3 * n, memory)), w_clip=np.zeros((3 * n, 7)),
         reach=np.zeros(n), normal_reach=np.zeros(n),
     )  # fmt: skip
-    kernels.reference_points(start, corners, p.ref_points, p.ref_ratio)
+    footprints.reference_points(start, corners, p.ref_points, p.ref_ratio)
     sizes = [np.zeros(n) for _ in range(4)]
     plane_depth, centre = np.zeros((n, 3)), np.zeros((n, 3))
-    kernels.measure(gp, start, corners, p.offset, x, *sizes, plane_depth, centre)
+    footprints.measure(gp, start, corners, p.offset, x, *sizes, plane_depth, centre)
     area, closed, align, depth = sizes
     # side strips are weighed by what is closed: they exist only as far as the blocks overlap
     facing, keep = align > STRIP, np.zeros(n, bool)
     largest, largest_closed, nearest = np.zeros(len(which)), np.zeros(len(which)), miss.copy()
-    kernels.prune(local, facing, area, closed, margin, prune, keep, largest, largest_closed, nearest)
+    upkeep.prune(local, facing, area, closed, margin, prune, keep, largest, largest_closed, nearest)
     travel = np.sqrt(np.maximum(largest, 0.25 * np.where(np.isfinite(size), size, 0.0) ** 2))
     # or a strip that was left out comes to weigh
     latent = np.full(len(which), np.inf)
-    kernels.latent_reach(
+    footprints.latent_reach(
         local, keep | facing, start, corners, plane_depth - p.offset, area, p.ref_ratio, prune * largest_closed, latent
     )
     latent = np.maximum(latent, LATENT_TRAVEL * travel)

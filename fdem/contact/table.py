@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.kernels import joints
+from fdem.kernels import joints, upkeep
 from fdem.kernels import patches as kernels
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
     soft = 1 - np.column_stack([affine[c.slave[p.pair]], affine[c.master[p.pair]]])
     facing = np.repeat((p.flags & kernels.FACING) > 0, 3)
     k = np.where(facing, np.maximum(kn, ks), kn)
-    kernels.gridpoint_stiffness(p.gp, w, k, np.asarray(mobile, dtype=bool), soft.astype(np.uint8), out)
+    upkeep.gridpoint_stiffness(p.gp, w, k, np.asarray(mobile, dtype=bool), soft.astype(np.uint8), out)
     return out
 
 

@@ -205,24 +205,6 @@ def _own_cell(f, xs, poly, count, snap, convex, corner_start, corner_x, normal, 
 
 
 @kernel
-def _rival_plane(e, f, g, xs, df, dg, outside, reach, corner_start, corner_x, normal, wall, kind, v):
-    """Plane e that bounds what the competing face g takes from f: its values `v`; False if there is none.
-
-    -3: gap of g within `reach` (outside only), -2: bisector of f and g, -1: side of g, from 0 on: edges of g.
-    """
-    if e < 0:
-        for k in range(3):
-            v[k] = dg[k] + reach if e == -3 else df[k] - dg[k] if e == -2 else -dg[k] if outside else dg[k]
-        return outside or e > -3
-    c = corner_start[g] + e
-    if kind[c] == SHARP and not outside:
-        _upright(g, c, xs, corner_start, corner_x, normal, v)
-    else:
-        _plane_values(wall[c], corner_x[c], xs, v)
-    return kind[c] != BORDER
-
-
-@kernel
 def _rival(
     f, g, xs, df, dg, outside, reach, bufs, work, n_pieces, snap, corner_start, corner_x, normal, wall, kind, tmp, part,
     o, v,
@@ -232,19 +214,30 @@ def _rival(
     Inside the master (depth of g >= 0) g reaches up to the planes normal to it through its sharp edges, outside
     (`outside`) up to the bisectors, and only where its polygon is not farther away than that of f.
     """
-    edges = corner_start[g + 1] - corner_start[g]
+    first, last = corner_start[g], corner_start[g + 1]
+    sign = -1.0 if outside else 1.0
     n_old = n_pieces
     for q in range(n_old):
         m = work[q]
         if m == 0:
             continue
         _copy(bufs[q], m, part)
-        n = m
-        for e in range(-3, edges):  # first find out whether there is anything to take away, then do it
-            if n > 0 and _rival_plane(
-                e, f, g, xs, df, dg, outside, reach, corner_start, corner_x, normal, wall, kind, v
-            ):
-                n = _cut(part, n, v[0], v[1], v[2], snap, tmp)
+        # first find out whether there is anything to take away, then do it: bisector, side of g, its edges, its reach
+        n = _cut(part, m, df[0] - dg[0], df[1] - dg[1], df[2] - dg[2], snap, tmp)
+        if n > 0:
+            n = _cut(part, n, sign * dg[0], sign * dg[1], sign * dg[2], snap, tmp)
+        if n > 0 and outside:
+            n = _cut(part, n, dg[0] + reach, dg[1] + reach, dg[2] + reach, snap, tmp)
+        for c in range(first, last):
+            if n == 0:
+                break
+            if kind[c] == BORDER:
+                continue
+            if kind[c] == SHARP and not outside:
+                _upright(g, c, xs, corner_start, corner_x, normal, v)
+            else:
+                _plane_values(wall[c], corner_x[c], xs, v)
+            n = _cut(part, n, v[0], v[1], v[2], snap, tmp)
         if n == 0 or _ratio(part, n) <= 1e-13 * _ratio(bufs[q], m):
             continue
         if outside:
@@ -256,8 +249,16 @@ def _rival(
         n = m
         work[q] = 0
         made = False
-        for e in range(-3, edges):  # what lies beyond each plane is a piece to keep
-            if not _rival_plane(e, f, g, xs, df, dg, outside, reach, corner_start, corner_x, normal, wall, kind, v):
+        for e in range(-3, last - first):  # what lies beyond each plane is a piece to keep
+            c = first + max(e, 0)
+            if e < 0:
+                for k in range(3):
+                    v[k] = dg[k] + reach if e == -3 else df[k] - dg[k] if e == -2 else sign * dg[k]
+            elif kind[c] == SHARP and not outside:
+                _upright(g, c, xs, corner_start, corner_x, normal, v)
+            else:
+                _plane_values(wall[c], corner_x[c], xs, v)
+            if (e == -3 and not outside) or (e >= 0 and kind[c] == BORDER):
                 continue
             low, _ = _extremes(part, n, v[0], v[1], v[2])
             if low >= -snap:
@@ -305,10 +306,10 @@ def _rivals(
     hi0, hi1, hi2 = box[1, 0] + near, box[1, 1] + near, box[1, 2] + near
     all_faces = convex and face_start[m + 1] - face_start[m] <= 32
     for g in range(face_start[m], face_start[m + 1]):
-        if g == f or not all_faces and (
+        if g == f or (not all_faces and (
             lower[g, 0] > hi0 or lower[g, 1] > hi1 or lower[g, 2] > hi2
             or upper[g, 0] < lo0 or upper[g, 1] < lo1 or upper[g, 2] < lo2
-        ):  # fmt: skip
+        )):  # fmt: skip
             continue
         cosine = normal[f, 0] * normal[g, 0] + normal[f, 1] * normal[g, 1] + normal[f, 2] * normal[g, 2]
         if cosine > (1.0 - 1e-14 if affine else 0.9):

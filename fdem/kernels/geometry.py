@@ -1,4 +1,4 @@
-"""Kernels of contact geometry: faces, walls, boxes, thickness, and pairs of blocks and faces that are near each other."""
+"""Kernels of contact geometry: faces, walls, boxes, thickness, and which blocks and faces are near each other."""
 
 from __future__ import annotations
 

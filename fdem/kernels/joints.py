@@ -54,6 +54,12 @@ def _in_plane(s0, s1, s2, nx, ny, nz):
 
 
 @kernel
+def _cone(cohesion, tan, pressure, facing):
+    """Shear strength [Pa] under a pressure of which the part `facing` counts; side strips (0) have none."""
+    return max(cohesion + tan * pressure * facing, 0.0) if facing > 0.0 else 0.0
+
+
+@kernel
 def _slide(s0, s1, s2, d0, d1, d2, most):
     """Elastic slip after the slip (d0, d1, d2), no longer than `most`; released length^2 and length slid.
 
@@ -129,28 +135,24 @@ def coulomb(
         limit = -1.0
         if intact:
             t0, t1, t2 = s0 + e0, s1 + e1, s2 + e2
-            strength = max(cohesion + peak * (p + extra) * facing, 0.0) if facing > 0.0 else 0.0
+            strength = _cone(cohesion, peak, p + extra, facing)
             if ks * ks * (t0 * t0 + t1 * t1 + t2 * t2) > strength * strength:
                 memory[i, 3] = 0.0
-                if p + extra < 0.0:
-                    p, extra = 0.0, 0.0
-                elif p < 0.0:
-                    p, extra = 0.0, p + extra
+                if p < 0.0:
+                    p, extra = 0.0, max(p + extra, 0.0)
             else:
                 limit = strength
                 if cohesion > 0.0 or tension > 0.0:
                     state[i] = INTACT
         if limit < 0.0:
-            limit = max(residual_cohesion + residual * (p + extra) * facing, 0.0) if facing > 0.0 else 0.0
+            limit = _cone(residual_cohesion, residual, p + extra, facing)
         if limit < math.inf:
             s0, s1, s2, released, plastic = _slide(s0, s1, s2, e0, e1, e2, limit * give)
             work[i, 0] = 0.5 * a * ks * released
             if plastic > 0.0:
                 state[i] = SLIPPING
-                widened = 0.0
-                if dilation > 0.0 and memory[i, 4] < dilation_limit and p > 0.0:
-                    widened = dilation * min(plastic, dilation_limit - memory[i, 4])
-                    memory[i, 5] += widened
+                widened = dilation * max(min(plastic, dilation_limit - memory[i, 4]), 0.0) if p > 0.0 else 0.0
+                memory[i, 5] += widened
                 work[i, 0] += a * (limit * plastic - p * widened)
                 memory[i, 4] += plastic
         else:
