@@ -31,6 +31,7 @@ DEPTH = 400.0  # of the tunnel's axis [m]
 UNIT_WEIGHT = 26.5e3  # [N/m^3]
 GRANITE = fdem.Elastic(density=UNIT_WEIGHT / 9.81, young=20e9, poisson=0.25)
 RADIUS = 2.5  # of the crown [m]
+SLIVER = 1e-4  # chips smaller than this are taken out before the start [m^3]
 
 
 def tunnel() -> dict[str, fdem.Polyhedron]:
@@ -72,6 +73,9 @@ def rock_mass(seed: int, size: float) -> fdem.Scene:
 def excavate(scene: fdem.Scene, verbose: bool) -> tuple[fdem.Simulation, dict[str, float], list[fdem.History]]:
     """Relax, excavate in two stages, relax; the numbers worth printing."""
     sim = fdem.Simulation(scene, fdem.Relaxation(damping=fdem.Adaptive()))
+    chips = [block for block in scene.blocks if block.shape.volume < SLIVER]
+    if chips:
+        sim.excavate(chips)
     initial = sim.solve(ratio=1e-5)
     sim.reset("displacement")
     sim.reset("slip")
@@ -80,6 +84,7 @@ def excavate(scene: fdem.Scene, verbose: bool) -> tuple[fdem.Simulation, dict[st
     crown.name, wall.name = "crown, vertical", "wall, horizontal"
     if verbose:
         print(sim.describe())
+        print(f"{len(chips)} chips of less than {SLIVER:g} m^3 were taken out")
         start = f"ratio {initial.start_ratio:.1e} -> {initial.ratio:.1e}"
         print(f"in situ: {initial.reason}, {start}, {initial.cycles} cycles")
     for stage in ("heading", "bench"):

@@ -23,7 +23,9 @@ def main(path: Path = MESH, scale: float = 1.0, folder: Path = Path("out")) -> f
     shapes = fdem.read(path, scale=scale)
     bottom = np.array([np.asarray(shape.bounds)[0, 2] for shape in shapes])
     height = max(np.asarray(shape.bounds)[1, 2] for shape in shapes) - bottom.min()
-    scene = fdem.Scene()
+    # rounded coordinates leave neighbours apart, or overlapping, by some thousandths of their size
+    size = float(np.cbrt(np.median([shape.volume for shape in shapes])))
+    scene = fdem.Scene(gap_tolerance=3e-3 * size)
     blocks = scene.add(shapes, fdem.Rigid(), fdem.Elastic(density=2400), name="stone")
     supports = scene.fix([b for b, z in zip(blocks, bottom, strict=True) if z < bottom.min() + 0.02 * height])
     free = [b for b, z in zip(blocks, bottom, strict=True) if z >= bottom.min() + 0.02 * height]

@@ -38,6 +38,13 @@ def _face_normals(gp: Any, x: Array, side: int) -> Array:
     return np.cross(b - a, c - a)
 
 
+def _areas(c: Contacts, x: Array) -> Array:
+    """Areas (n,) of whole patches [m2]."""
+    out = np.zeros(len(c.patches))
+    upkeep.whole_areas(c.patches.gp, c.patches.ref_ratio, x, out)
+    return out
+
+
 def stiffness(c: Contacts, x: Array) -> tuple[Any, Array, Array, Array, Array]:
     """Rows of all patches as if closed.
 
@@ -53,7 +60,7 @@ def stiffness(c: Contacts, x: Array) -> tuple[Any, Array, Array, Array, Array]:
     p = c.patches
     w = np.zeros((3 * len(p), 7))
     kernels.weights_at(p.gp, c._thick, p.ref_points, x, w)
-    area = p.ref_ratio * np.linalg.norm(_face_normals(p.gp, x, 0), axis=1) / 6.0
+    area = _areas(c, x) / 3.0
     normal = _unit(_face_normals(p.gp, x, 1))
     frame = np.repeat(frames(normal), 3, axis=0)
     return np.repeat(p.gp, 3, axis=0), w, frame, np.repeat(c._kn * area, 3), np.repeat(c._ks * area, 3)
@@ -65,11 +72,12 @@ def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
     out = np.zeros(len(x))
     if not len(p):
         return out
-    _, w, _, kn, ks = stiffness(c, x)
+    w = np.zeros((3 * len(p), 7))
+    kernels.weights_at(p.gp, c._thick, p.ref_points, x, w)
     affine = c.surfaces.affine
     soft = 1 - np.column_stack([affine[c.slave[p.pair]], affine[c.master[p.pair]]])
-    facing = np.repeat((p.flags & kernels.FACING) > 0, 3)
-    k = np.where(facing, np.maximum(kn, ks), kn)
+    facing = (p.flags & kernels.FACING) > 0
+    k = np.repeat(np.where(facing, np.maximum(c._kn, c._ks), c._kn) * _areas(c, x) / 3.0, 3)
     upkeep.gridpoint_stiffness(p.gp, w, k, np.asarray(mobile, dtype=bool), soft.astype(np.uint8), out)
     return out
 
@@ -95,7 +103,7 @@ def contact_table(c: Contacts, x: Array) -> dict[str, Any]:
     position = np.einsum("ij,ijk->ik", w, corners)
     master = _unit(_face_normals(p.gp, x, 1))[patch] if len(p) else np.zeros((0, 3))
     depth = np.einsum("ij,ij->i", master, x[p.gp[patch, 3]] - position) - np.einsum("ij,ij->i", w, p.offset[patch])
-    whole = (p.ref_ratio * np.linalg.norm(_face_normals(p.gp, x, 0), axis=1) / 6.0)[patch] if len(p) else np.zeros(0)
+    whole = _areas(c, x)[patch] / 3.0
     slave, other = c.slave[p.pair[patch]], c.master[p.pair[patch]]
     sign = np.where(slave > other, 1.0, -1.0)
     normal = np.where(is_open[:, None], master, c._normal[rows]) * sign[:, None]

@@ -83,6 +83,17 @@ def prune(local, facing, area, closed, margin, share, keep, largest, largest_clo
 
 
 @kernel
+def whole_areas(gp, ratio, x, out):
+    """Area (n,) [m2] of whole patches, `ratio` (n,) being their share of the slave's reference triangle."""
+    for i in range(len(gp)):
+        a, b, c = gp[i, 0], gp[i, 1], gp[i, 2]
+        ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        vx, vy, vz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        out[i] = 0.5 * ratio[i] * math.sqrt(nx * nx + ny * ny + nz * nz)
+
+
+@kernel
 def gridpoint_stiffness(gp, w, stiffness, mobile, soft, out):
     """Upper bound of the contact stiffness of gridpoints [N/m] for whole patches.
 
