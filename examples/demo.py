@@ -31,7 +31,7 @@ DEPTH = 400.0  # of the tunnel's axis [m]
 UNIT_WEIGHT = 26.5e3  # [N/m^3]
 GRANITE = fdem.Elastic(density=UNIT_WEIGHT / 9.81, young=20e9, poisson=0.25)
 RADIUS = 2.5  # of the crown [m]
-SLIVER = 1e-4  # chips smaller than this are taken out before the start [m^3]
+SLIVER = 1e-3  # chips smaller than this are taken out before the start [m^3]
 
 
 def tunnel() -> dict[str, fdem.Polyhedron]:

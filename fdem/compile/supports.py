@@ -125,8 +125,12 @@ def _facing(select: Selector, fix: Fix, gp: np.ndarray) -> dict[int, list[np.nda
     return {key: [c / np.linalg.norm(c) for c in clusters] for key, clusters in sums.items()}
 
 
-def _components(value: Any) -> list[tuple[int, float]]:
-    return [(k, float(v)) for k, v in enumerate(value) if v is not None]
+def _components(what: str, value: Any, places: np.ndarray) -> list[tuple[int, np.ndarray]]:
+    """Axes a value prescribes, with the amount at each of the `places` (n, 3)."""
+    if callable(value):
+        wanted = boundary.evaluate(what, value, places, (3,))
+        return [(k, wanted[:, k]) for k in range(3)]
+    return [(k, np.full(len(places), float(v))) for k, v in enumerate(value) if v is not None]
 
 
 def _motion(select: Selector, applied: Applied, constraints: Constraints) -> Motion:
@@ -137,10 +141,12 @@ def _motion(select: Selector, applied: Applied, constraints: Constraints) -> Mot
         row = model.batch_row[block]
         if row < 0:
             raise SceneError(f"Velocity: block {model.names[block]!r} is fixed by fix(); give it fixed=True instead")
-        bases = select.dof_rows(gp[select.owner[gp] == block]) if model.zoned[block] else np.array([6 * row])
-        for axis, value in _components(load.value):
+        mine = gp[select.owner[gp] == block]
+        bases = select.dof_rows(mine) if model.zoned[block] else np.array([6 * row])
+        places = model.X[mine] if model.zoned[block] else model.centroid[block][None]
+        for axis, amount in _components("Velocity", load.value, places + model.origin):
             dofs.append(bases + axis)
-            values.append(np.full(len(bases), value))
+            values.append(amount)
         if load.angular is not None:
             if model.zoned[block]:
                 raise SceneError(f"Velocity: angular is for rigid blocks, block {model.names[block]!r} is zoned")
@@ -177,12 +183,7 @@ def _approach(select: Selector, applied: Applied, constraints: Constraints) -> A
             places = model.X[mine]
         else:
             bases, first, places = np.array([6 * row]), np.array([7 * row]), model.centroid[block][None]
-        if callable(value):
-            wanted = boundary.evaluate("Displacement", value, places + model.origin, (3,))
-            axes = [(k, wanted[:, k]) for k in range(3)]
-        else:
-            axes = [(k, np.full(len(bases), v)) for k, v in _components(value)]
-        for axis, amount in axes:
+        for axis, amount in _components("Displacement", value, places + model.origin):
             dofs.append(bases + axis)
             coords.append(first + axis)
             target.append(amount)

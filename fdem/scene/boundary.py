@@ -117,8 +117,8 @@ class Velocity:
 
     Parameters
     ----------
-    value : (3,) sequence of float or None
-        Velocity [m/s].
+    value : (3,) sequence of float or None, or callable
+        Velocity [m/s]; a callable is a function of place (n, 3) -> (n, 3).
     angular : (3,) array, optional
         Angular velocity [rad/s] about the centroid, for rigid and fixed blocks.
 
@@ -128,11 +128,12 @@ class Velocity:
         If a value is not finite.
     """
 
-    value: Sequence[float | None]
+    value: Sequence[float | None] | Place
     angular: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        vector("Velocity", "value", [0.0 if v is None else v for v in self.value])
+        if not callable(self.value):
+            vector("Velocity", "value", [0.0 if v is None else v for v in self.value])
         if self.angular is not None:
             vector("Velocity", "angular", self.angular)
 

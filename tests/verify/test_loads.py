@@ -427,3 +427,14 @@ def test_free_flight_keeps_momentum(body):
     np.testing.assert_allclose(sim[block].velocity, [1, 0, -5], atol=1e-9)
     change = sim[block].angular_momentum - before
     assert np.linalg.norm(change) <= 1e-8 * np.linalg.norm(before)
+
+
+def test_velocity_as_a_function_of_place():
+    # a linear velocity field stretches the block by 1e-4; `gridpoints` are the stretched ones, hence 2e-4
+    scene = fdem.Scene(gravity=(0, 0, 0))
+    block = scene.add(fdem.brick((0, 0, 0), (1, 1, 1)), fdem.Zoned(size=0.6), fdem.Elastic(2000.0, 1e9, 0.25))
+    scene.apply(fdem.Velocity(lambda x: 1e-3 * x * [1.0, 0.0, 0.0]), block)
+    sim = fdem.Simulation(scene, fdem.Explicit(dt=1e-3))
+    sim.run(time=0.1)
+    np.testing.assert_allclose(sim[block].gridpoint_displacement[:, 0], 1e-4 * sim[block].gridpoints[:, 0], rtol=2e-4)
+    assert np.abs(sim[block].gridpoint_displacement[:, 1:]).max() < 1e-15
