@@ -37,9 +37,7 @@ def main(path: Path = MESH, scale: float = 1.0, folder: Path = Path("out")) -> f
     error = abs(float(sim[supports].force[2]) / weight - 1)
     folder.mkdir(parents=True, exist_ok=True)
     sim.plot(folder / f"imported_{path.parent.name}_{path.stem}.png", scalars="displacement", warp="auto")
-    print(
-        f"{len(blocks)} blocks, {len(free)} free: {report.reason}, {report.cycles} cycles, ratio {report.ratio:.1e}"
-    )
+    print(f"{len(blocks)} blocks, {len(free)} free: {report.reason}, {report.cycles} cycles, ratio {report.ratio:.1e}")
     return error
 
 

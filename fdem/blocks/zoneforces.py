@@ -66,6 +66,14 @@ def _windows(first: Array, last: Array) -> tuple[Array, Array, Array]:
     return first.astype(np.uint32), start, np.empty((int(start[-1]), 3))
 
 
+def _lanes(rows: Array, fill: Any) -> Array:
+    """Rows (m, k) as (n, k, L): L side by side, the last ones filled up."""
+    m, k = rows.shape
+    full = np.empty((-(-m // zones.L) * zones.L, k), dtype=rows.dtype)
+    full[:m], full[m:] = rows, fill
+    return np.ascontiguousarray(full.reshape(-1, zones.L, k).transpose(0, 2, 1))
+
+
 def _share(owner: ZonedBlocks, n_chunks: int, work: Callable[[int, int], None]) -> None:
     """Run ``work(lo, hi)`` on equal shares of the chunks, one per thread, the first on this thread."""
     cuts = [n_chunks * k // owner.threads for k in range(owner.threads + 1)]
@@ -91,17 +99,19 @@ class LargeStrain:
         self._owner = owner
         block = owner.zone_block[member]
         volume = owner.zone_volume[member]
-        self.nodes = owner._nodes[member].astype(np.uint32)
-        self.table = np.column_stack([owner.gradients[member], owner.lam[block] * volume, owner.mu[block] * volume])
+        nodes = _lanes(owner._nodes[member].astype(np.uint32), fill=owner._nodes[member][-1:, :1])
+        table = np.column_stack([owner.gradients[member], owner.lam[block] * volume, owner.mu[block] * volume])
+        self.nodes, self.table = nodes, _lanes(table, fill=0.0)
         if owner.stress0 is None:
             self.stress0 = np.empty((0, 6))
         else:
-            self.stress0 = np.ascontiguousarray(owner.stress0[member] * volume[:, None])
-        self.chunk_start = _chunks(self.nodes.shape[0], _CHUNK_ZONES)
-        first = np.minimum.reduceat(self.nodes.min(axis=1), self.chunk_start[:-1])
-        last = np.maximum.reduceat(self.nodes.max(axis=1), self.chunk_start[:-1]) + 1
+            self.stress0 = np.zeros((len(nodes) * zones.L, 6))
+            self.stress0[: len(table)] = owner.stress0[member] * volume[:, None]
+        self.chunk_start = _chunks(len(nodes), _CHUNK_ZONES // zones.L)
+        first = np.minimum.reduceat(nodes.min(axis=(1, 2)), self.chunk_start[:-1])
+        last = np.maximum.reduceat(nodes.max(axis=(1, 2)), self.chunk_start[:-1]) + 1
         self.chunk_gp, self.window_start, self.windows = _windows(first, last)
-        self.threaded = owner.threads > 1 and self.nodes.shape[0] >= _THREAD_ZONES
+        self.threaded = owner.threads > 1 and len(table) >= _THREAD_ZONES
 
     def subtract_force(self, x: Array, f: Array) -> None:
         """``f -= internal force``, x and f (n, 3) of the batch."""

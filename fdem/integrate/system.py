@@ -306,6 +306,11 @@ class System:
                 total += float(scaled @ (v[batch.dofs].reshape(-1, 3) ** 2).sum(axis=1))
         return total
 
+    def largest_force(self) -> float:
+        """Largest component [N] of contact forces, loads and weights."""
+        parts = [self.state.f_gp, self.weight] + ([] if self.f_load is None else [self.f_load])
+        return max(float(np.abs(part).max(initial=0.0)) for part in parts)
+
     def kinetic(self) -> float:
         """Kinetic energy [J] of what is free to move, at the time of the configuration."""
         v = self.velocity()

@@ -306,7 +306,7 @@ def _add_spring(point, centre, normal, straight, shear, out):
 
 @kernel
 def rigid_joints(gp, w, frame, kn, ks, x, gp_block, mobile, place, centre, out):
-    """Stiffness (n_rigid, 6, 6) of contact rows against motions of each rigid block, counted twice between two mobile ones.
+    """Stiffness (n_rigid, 6, 6) of contact rows against motions of each rigid block, twice between two mobile ones.
 
     ========  ============  ==================================================
     gp, w     (n, 7)        gridpoints and weights: three of the slave, four of the master

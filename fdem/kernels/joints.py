@@ -90,8 +90,7 @@ def coulomb(
     The dashpot resists the rate of the depth, the motion along `normal`: sliding along the face closes nothing, however
     the slave's face is pitched. Its pressure counts for friction; both together do not pull.
     """
-    last = -1
-    kn, ks, peak, cohesion, tension, give = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    last, kn, ks, peak, cohesion, tension, give = -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     residual, residual_cohesion, damping, dilation, dilation_limit = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(lo, hi):
         if area[i] == 0.0:
@@ -131,8 +130,7 @@ def coulomb(
         if damping > 0.0 and dt > 0.0:
             extra = max(-2.0 * damping * math.sqrt(kn * mass[i]) * along / dt, min(p, 0.0) - p)
         e0, e1, e2 = d0 - along * nx, d1 - along * ny, d2 - along * nz
-        state[i] = CLOSED
-        limit = -1.0
+        state[i], limit = CLOSED, -1.0
         if intact:
             t0, t1, t2 = s0 + e0, s1 + e1, s2 + e2
             strength = _cone(cohesion, peak, p + extra, facing)

@@ -9,11 +9,11 @@ Arguments shared by the kernels of this file:
 
 ==============  ==================  =====================================================================
 x               (n_gp, 3) float64   positions [m]
-nodes           (m, 4) int          gridpoints of every zone; unsigned (uint32) indices save the test for
-                                    Python's negative ones in the force loop
-table           (m, 11) float64     gradients of shape functions 1, 2, 3 [1/m], lambda V, mu V [N m]
-stress0         (m, 6) float64      V times the initial 2nd Piola-Kirchhoff stress, xx yy zz yz zx xy [N m]
-chunk_start     (n_chunks + 1,)     zones of a chunk, int32
+nodes           (n, 4, L) int       gridpoints of every zone, L zones side by side (the last ones of the last are
+                                    empty); unsigned (uint32) indices save the test for Python's negative ones
+table           (n, 11, L) float64  gradients of shape functions 1, 2, 3 [1/m], lambda V, mu V [N m]
+stress0         (n L, 6) float64    V times the initial 2nd Piola-Kirchhoff stress, xx yy zz yz zx xy [N m]
+chunk_start     (n_chunks + 1,)     rows of `nodes` of a chunk, int32
 chunk_gp        (n_chunks,) uint32  first gridpoint of the chunk's window
 window_start    (n_chunks + 1,)     where a chunk's window starts in ``windows``, int32
 windows         (n, 3) float64      internal forces of the windows [N]
@@ -27,22 +27,23 @@ import numpy as np
 
 from fdem._jit import kernel
 
+L = 16  # zones computed side by side
+
 
 @kernel
-def _force(x, nodes, table, start, stop, gp0, window):
-    """Add the internal forces of zones start..stop to a window: ``f_a = V F S G_a``, ``S = C : E``."""
-    for e in range(start, stop):
-        i0 = nodes[e, 0]
-        i1 = nodes[e, 1]
-        i2 = nodes[e, 2]
-        i3 = nodes[e, 3]
-        ox, oy, oz = x[i0, 0], x[i0, 1], x[i0, 2]
-        ax, ay, az = x[i1, 0] - ox, x[i1, 1] - oy, x[i1, 2] - oz
-        bx, by, bz = x[i2, 0] - ox, x[i2, 1] - oy, x[i2, 2] - oz
-        cx, cy, cz = x[i3, 0] - ox, x[i3, 1] - oy, x[i3, 2] - oz
-        g10, g11, g12 = table[e, 0], table[e, 1], table[e, 2]
-        g20, g21, g22 = table[e, 3], table[e, 4], table[e, 5]
-        g30, g31, g32 = table[e, 6], table[e, 7], table[e, 8]
+def _stress_lanes(work):
+    """``f_a = V F S G_a`` of L zones at once: edges in rows 0-8 of `work`, their table in 9-19, forces in 20-28.
+
+    One array only: its rows are a constant distance apart, so that the compiler sees that stores do not meet loads, and
+    computes the lanes side by side.
+    """
+    for lane in range(L):
+        ax, ay, az = work[lane], work[L + lane], work[2 * L + lane]
+        bx, by, bz = work[3 * L + lane], work[4 * L + lane], work[5 * L + lane]
+        cx, cy, cz = work[6 * L + lane], work[7 * L + lane], work[8 * L + lane]
+        g10, g11, g12 = work[9 * L + lane], work[10 * L + lane], work[11 * L + lane]
+        g20, g21, g22 = work[12 * L + lane], work[13 * L + lane], work[14 * L + lane]
+        g30, g31, g32 = work[15 * L + lane], work[16 * L + lane], work[17 * L + lane]
         f00 = ax * g10 + bx * g20 + cx * g30
         f01 = ax * g11 + bx * g21 + cx * g31
         f02 = ax * g12 + bx * g22 + cx * g32
@@ -55,8 +56,8 @@ def _force(x, nodes, table, start, stop, gp0, window):
         c00 = f00 * f00 + f10 * f10 + f20 * f20 - 1.0
         c11 = f01 * f01 + f11 * f11 + f21 * f21 - 1.0
         c22 = f02 * f02 + f12 * f12 + f22 * f22 - 1.0
-        mu = table[e, 10]
-        pressure = 0.5 * table[e, 9] * (c00 + c11 + c22)
+        mu = work[19 * L + lane]
+        pressure = 0.5 * work[18 * L + lane] * (c00 + c11 + c22)
         s00 = pressure + mu * c00
         s11 = pressure + mu * c11
         s22 = pressure + mu * c22
@@ -67,63 +68,78 @@ def _force(x, nodes, table, start, stop, gp0, window):
         t0 = s00 * g10 + s01 * g11 + s02 * g12
         t1 = s01 * g10 + s11 * g11 + s12 * g12
         t2 = s02 * g10 + s12 * g11 + s22 * g12
-        px = f00 * t0 + f01 * t1 + f02 * t2
-        py = f10 * t0 + f11 * t1 + f12 * t2
-        pz = f20 * t0 + f21 * t1 + f22 * t2
+        work[20 * L + lane] = f00 * t0 + f01 * t1 + f02 * t2
+        work[21 * L + lane] = f10 * t0 + f11 * t1 + f12 * t2
+        work[22 * L + lane] = f20 * t0 + f21 * t1 + f22 * t2
         t0 = s00 * g20 + s01 * g21 + s02 * g22
         t1 = s01 * g20 + s11 * g21 + s12 * g22
         t2 = s02 * g20 + s12 * g21 + s22 * g22
-        qx = f00 * t0 + f01 * t1 + f02 * t2
-        qy = f10 * t0 + f11 * t1 + f12 * t2
-        qz = f20 * t0 + f21 * t1 + f22 * t2
+        work[23 * L + lane] = f00 * t0 + f01 * t1 + f02 * t2
+        work[24 * L + lane] = f10 * t0 + f11 * t1 + f12 * t2
+        work[25 * L + lane] = f20 * t0 + f21 * t1 + f22 * t2
         t0 = s00 * g30 + s01 * g31 + s02 * g32
         t1 = s01 * g30 + s11 * g31 + s12 * g32
         t2 = s02 * g30 + s12 * g31 + s22 * g32
-        rx = f00 * t0 + f01 * t1 + f02 * t2
-        ry = f10 * t0 + f11 * t1 + f12 * t2
-        rz = f20 * t0 + f21 * t1 + f22 * t2
-        window[i0 - gp0, 0] -= px + qx + rx
-        window[i0 - gp0, 1] -= py + qy + ry
-        window[i0 - gp0, 2] -= pz + qz + rz
-        window[i1 - gp0, 0] += px
-        window[i1 - gp0, 1] += py
-        window[i1 - gp0, 2] += pz
-        window[i2 - gp0, 0] += qx
-        window[i2 - gp0, 1] += qy
-        window[i2 - gp0, 2] += qz
-        window[i3 - gp0, 0] += rx
-        window[i3 - gp0, 1] += ry
-        window[i3 - gp0, 2] += rz
+        work[26 * L + lane] = f00 * t0 + f01 * t1 + f02 * t2
+        work[27 * L + lane] = f10 * t0 + f11 * t1 + f12 * t2
+        work[28 * L + lane] = f20 * t0 + f21 * t1 + f22 * t2
+
+
+@kernel
+def _force(x, nodes, table, start, stop, gp0, window):
+    """Add the internal forces of the zones of lanes start..stop to a window: ``f_a = V F S G_a``, ``S = C : E``."""
+    work = np.empty(29 * L)
+    for b in range(start, stop):
+        for lane in range(L):
+            i0, i1, i2, i3 = nodes[b, 0, lane], nodes[b, 1, lane], nodes[b, 2, lane], nodes[b, 3, lane]
+            for k in range(3):
+                o = x[i0, k]
+                work[k * L + lane] = x[i1, k] - o
+                work[(3 + k) * L + lane] = x[i2, k] - o
+                work[(6 + k) * L + lane] = x[i3, k] - o
+        for k in range(11):
+            for lane in range(L):
+                work[(9 + k) * L + lane] = table[b, k, lane]
+        _stress_lanes(work)
+        for lane in range(L):
+            i0, i1, i2, i3 = nodes[b, 0, lane], nodes[b, 1, lane], nodes[b, 2, lane], nodes[b, 3, lane]
+            for k in range(3):
+                p, q, r = work[(20 + k) * L + lane], work[(23 + k) * L + lane], work[(26 + k) * L + lane]
+                window[i0 - gp0, k] -= p + q + r
+                window[i1 - gp0, k] += p
+                window[i2 - gp0, k] += q
+                window[i3 - gp0, k] += r
 
 
 @kernel
 def _initial_force(x, nodes, table, stress0, start, stop, gp0, window):
     """Add ``V F S0 G_a``: the part of the internal force that the in-situ stress makes."""
-    for e in range(start, stop):
-        i0 = nodes[e, 0]
+    for e in range(start * L, stop * L):
+        b, lane = e // L, e % L
+        i0 = nodes[b, 0, lane]
         s00, s11, s22 = stress0[e, 0], stress0[e, 1], stress0[e, 2]
         s12, s02, s01 = stress0[e, 3], stress0[e, 4], stress0[e, 5]
         t = np.empty(9)
         for a in range(3):
-            g0, g1, g2 = table[e, 3 * a], table[e, 3 * a + 1], table[e, 3 * a + 2]
+            g0, g1, g2 = table[b, 3 * a, lane], table[b, 3 * a + 1, lane], table[b, 3 * a + 2, lane]
             t[3 * a] = s00 * g0 + s01 * g1 + s02 * g2
             t[3 * a + 1] = s01 * g0 + s11 * g1 + s12 * g2
             t[3 * a + 2] = s02 * g0 + s12 * g1 + s22 * g2
         for c in range(3):
             o = x[i0, c]
-            d1 = x[nodes[e, 1], c] - o
-            d2 = x[nodes[e, 2], c] - o
-            d3 = x[nodes[e, 3], c] - o
-            fc0 = d1 * table[e, 0] + d2 * table[e, 3] + d3 * table[e, 6]
-            fc1 = d1 * table[e, 1] + d2 * table[e, 4] + d3 * table[e, 7]
-            fc2 = d1 * table[e, 2] + d2 * table[e, 5] + d3 * table[e, 8]
+            d1 = x[nodes[b, 1, lane], c] - o
+            d2 = x[nodes[b, 2, lane], c] - o
+            d3 = x[nodes[b, 3, lane], c] - o
+            fc0 = d1 * table[b, 0, lane] + d2 * table[b, 3, lane] + d3 * table[b, 6, lane]
+            fc1 = d1 * table[b, 1, lane] + d2 * table[b, 4, lane] + d3 * table[b, 7, lane]
+            fc2 = d1 * table[b, 2, lane] + d2 * table[b, 5, lane] + d3 * table[b, 8, lane]
             p1 = fc0 * t[0] + fc1 * t[1] + fc2 * t[2]
             p2 = fc0 * t[3] + fc1 * t[4] + fc2 * t[5]
             p3 = fc0 * t[6] + fc1 * t[7] + fc2 * t[8]
             window[i0 - gp0, c] -= p1 + p2 + p3
-            window[nodes[e, 1] - gp0, c] += p1
-            window[nodes[e, 2] - gp0, c] += p2
-            window[nodes[e, 3] - gp0, c] += p3
+            window[nodes[b, 1, lane] - gp0, c] += p1
+            window[nodes[b, 2, lane] - gp0, c] += p2
+            window[nodes[b, 3, lane] - gp0, c] += p3
 
 
 @kernel
@@ -163,17 +179,18 @@ def stvk_energy(x, nodes, table, stress0, chunk_start):
     total = 0.0
     for c in range(chunk_start.size - 1):
         part = 0.0
-        for e in range(chunk_start[c], chunk_start[c + 1]):
-            i0 = nodes[e, 0]
+        for e in range(chunk_start[c] * L, chunk_start[c + 1] * L):
+            b, lane = e // L, e % L
+            i0 = nodes[b, 0, lane]
             e00 = e11 = e22 = e12 = e02 = e01 = 0.0
             for k in range(3):
                 o = x[i0, k]
-                d1 = x[nodes[e, 1], k] - o
-                d2 = x[nodes[e, 2], k] - o
-                d3 = x[nodes[e, 3], k] - o
-                f0 = d1 * table[e, 0] + d2 * table[e, 3] + d3 * table[e, 6]
-                f1 = d1 * table[e, 1] + d2 * table[e, 4] + d3 * table[e, 7]
-                f2 = d1 * table[e, 2] + d2 * table[e, 5] + d3 * table[e, 8]
+                d1 = x[nodes[b, 1, lane], k] - o
+                d2 = x[nodes[b, 2, lane], k] - o
+                d3 = x[nodes[b, 3, lane], k] - o
+                f0 = d1 * table[b, 0, lane] + d2 * table[b, 3, lane] + d3 * table[b, 6, lane]
+                f1 = d1 * table[b, 1, lane] + d2 * table[b, 4, lane] + d3 * table[b, 7, lane]
+                f2 = d1 * table[b, 2, lane] + d2 * table[b, 5, lane] + d3 * table[b, 8, lane]
                 e00 += f0 * f0
                 e11 += f1 * f1
                 e22 += f2 * f2
@@ -184,7 +201,7 @@ def stvk_energy(x, nodes, table, stress0, chunk_start):
             trace = e00 + e11 + e22
             # e12, e02, e01 are engineering shears: E:E = sum e_ii^2 + 2 (e_ij / 2)^2
             square = e00 * e00 + e11 * e11 + e22 * e22 + 0.5 * (e12 * e12 + e02 * e02 + e01 * e01)
-            part += 0.5 * table[e, 9] * trace * trace + table[e, 10] * square
+            part += 0.5 * table[b, 9, lane] * trace * trace + table[b, 10, lane] * square
             if stress0.shape[0]:
                 part += stress0[e, 0] * e00 + stress0[e, 1] * e11 + stress0[e, 2] * e22
                 part += stress0[e, 3] * e12 + stress0[e, 4] * e02 + stress0[e, 5] * e01
