@@ -2,13 +2,62 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from fdem.kernels import blocks as kernels
 
-__all__ = ["joint_stiffness"]
+__all__ = ["Springs", "joint_stiffness", "share"]
+
+
+@dataclass
+class Springs:
+    """What holds blocks from outside: contacts, as if all were closed, and bedded faces.
+
+    Attributes
+    ----------
+    x : (n_gp, 3) array
+        Positions [m].
+    bedding : (n_gp,) array
+        Stiffness of bedded faces per gridpoint [N/m].
+    contacts : Contacts or None
+        The contact layer.
+    gp_block : (n_gp,) int array
+        Block of every gridpoint.
+    mobile : (n_blocks,) bool array
+        Which blocks can move.
+    """
+
+    x: np.ndarray
+    bedding: np.ndarray
+    contacts: Any
+    gp_block: np.ndarray
+    mobile: np.ndarray
+
+    @cached_property
+    def k_gp(self) -> np.ndarray:
+        """Row-sum bound of all springs per gridpoint (n_gp,) [N/m]."""
+        if self.contacts is None:
+            return self.bedding
+        return self.bedding + np.asarray(self.contacts.potential_k_gp(self.x, self.mobile[self.gp_block]))
+
+    @cached_property
+    def rows(self) -> tuple[Any, ...]:
+        """Contact points: ``gp, w, frame, kn, ks`` of ``Contacts.stiffness``."""
+        return tuple(self.contacts.stiffness(self.x))
+
+    @property
+    def kn(self) -> float:
+        """Largest normal stiffness of any joint [Pa/m]; 0 without contacts."""
+        return 0.0 if self.contacts is None else max(float(law.props[:, 0].max()) for law in self.contacts.laws)
+
+
+def share(part: float, whole: float) -> float:
+    """``part / whole``; 1 if something stands against nothing."""
+    return part / whole if whole > 0 else 0.0 if part == 0 else 1.0
 
 
 def joint_stiffness(

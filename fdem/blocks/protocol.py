@@ -6,6 +6,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from fdem.blocks.bounds import Springs
+
 __all__ = ["Blocks"]
 
 
@@ -16,14 +18,19 @@ class Blocks(Protocol):
     ----------
     dofs, coords, gridpoints : slice
         The share of this batch in velocities ``v``, configuration ``q`` and positions ``x``.
-    has_internal : bool
-        Whether `internal` does anything.
+    has_internal, in_place : bool
+        Whether `internal` does anything; whether the unknowns are positions of gridpoints, so that
+        gridpoint forces are generalised forces, in the same memory.
+    rows : (n_blocks,) int array
+        Row of each block in the model.
     """
 
     dofs: slice
     coords: slice
     gridpoints: slice
     has_internal: bool
+    in_place: bool
+    rows: np.ndarray
 
     def place(self, q: np.ndarray, x: np.ndarray) -> None:
         """Write the gridpoint positions of configuration `q` into `x` [m]."""
@@ -55,8 +62,16 @@ class Blocks(Protocol):
     def potential(self, g: np.ndarray, x: np.ndarray, q: np.ndarray) -> float:
         """Potential energy of the weight [J]."""
 
-    def frequency_bound(self, q: np.ndarray, x: np.ndarray, k_gp: np.ndarray) -> np.ndarray:
-        """Upper bound of the squared frequency of each block [1/s^2], contact stiffness `k_gp` [N/m] added."""
+    def step_bound(self, q: np.ndarray, springs: Springs) -> np.ndarray:
+        """Upper bound of the squared frequency of each block on all springs [1/s^2]."""
 
-    def relaxation_mass(self, q: np.ndarray, x: np.ndarray, k_gp: np.ndarray) -> Any:
+    def scaled_masses(self, q: np.ndarray, springs: Springs, swing: float) -> Any:
         """Fictitious masses whose highest frequency is at most 1 rad per unit of time."""
+
+    def scaled_kinetic(self, q: np.ndarray, v: np.ndarray, scaled: Any) -> float:
+        """``v.M v`` with the fictitious masses."""
+
+    def unbalance(
+        self, x: np.ndarray, unbalanced: np.ndarray, pushes: np.ndarray, gravity: float, scaled: Any
+    ) -> float:
+        """Largest unbalanced force over the largest force acting."""

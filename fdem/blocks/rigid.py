@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from fdem.blocks.bounds import Springs, joint_stiffness, share
 from fdem.errors import SceneError
 from fdem.kernels import blocks as kernels
 
@@ -36,8 +37,10 @@ class RigidBlocks:
 
     Attributes
     ----------
-    has_internal : bool
-        False: rigid blocks have no internal forces.
+    has_internal, in_place : bool
+        False: rigid blocks have no internal forces, and their unknowns are not positions of gridpoints.
+    rows, size, free : (n_blocks,) arrays
+        Row in the model, size [m] and whether a block can move; set by compile.
 
     Raises
     ------
@@ -46,6 +49,7 @@ class RigidBlocks:
     """
 
     has_internal = False
+    in_place = False
 
     def __init__(
         self,
@@ -70,6 +74,9 @@ class RigidBlocks:
         self._C = np.array(centroid, dtype=np.float64, order="C")
         self._start = np.ascontiguousarray(np.asarray(gp_start) - gridpoints.start, dtype=np.int32)
         self._unscaled = np.ones(self.n_blocks)
+        self.rows = np.arange(self.n_blocks)
+        self.size = np.ones(self.n_blocks)
+        self.free = np.ones(self.n_blocks, dtype=bool)
 
     def start(self, q: Array) -> None:
         """Write the configuration at the start into ``q``: reference centroids, no rotation."""
@@ -205,6 +212,60 @@ class RigidBlocks:
         scale = self.frequency_bound(q, x, k_gp, joints)
         largest = scale.max(initial=0.0)
         return np.where(scale > 0.0, scale, largest if largest > 0.0 else 1.0)
+
+    def _held_by(self, q: Array, springs: Springs) -> tuple[Array, Array | None]:
+        """Gridpoint stiffness and (n_blocks, 6, 6) joint stiffness that bound the motion of each block."""
+        if springs.contacts is None:
+            return springs.k_gp, None
+        place = np.full(len(springs.mobile), -1)
+        place[self.rows] = np.arange(self.n_blocks)
+        centre = self._q(q)[:, :3]
+        joints = joint_stiffness(springs.rows, springs.x, springs.gp_block, springs.mobile, place, centre)
+        return springs.bedding, joints
+
+    def step_bound(self, q: Array, springs: Springs) -> Array:
+        """Largest ``omega^2`` of every block (n_blocks,) on all springs [1/s^2]."""
+        return self.frequency_bound(q, springs.x, *self._held_by(q, springs))
+
+    def scaled_masses(self, q: Array, springs: Springs, swing: float) -> Array:
+        """Fictitious masses for `springs`; `swing` is the largest factor by which damping stiffens them.
+
+        The bound is close to the true frequency, so `swing` counts in full. A block that touches nothing yet moves as
+        if on its joint: else it falls through what is below it.
+        """
+        held = self._held_by(q, springs)
+        scale = swing * self.relaxation_mass(q, springs.x, *held)
+        loose = self.frequency_bound(q, springs.x, *held) == 0.0
+        scale[loose] = np.maximum(scale[loose], springs.kn * self.size[loose] ** 2 / self.mass[loose])
+        return scale
+
+    def scaled_kinetic(self, q: Array, v: Array, scaled: Array) -> float:
+        """``v.M v`` with the fictitious masses."""
+        six = self._v(v)
+        return float(np.einsum("n,ni,nij,nj->", scaled, six, self.generalised_mass(q), six))
+
+    def unbalance(self, x: Array, unbalanced: Array, pushes: Array, gravity: float, scaled: Array | None) -> float:
+        """Largest unbalanced force, or moment over the block size, over the largest force acting on a block.
+
+        Parameters
+        ----------
+        x : (n_gp, 3) array
+            Positions; not needed.
+        unbalanced : (n_dofs,) array
+            Generalised forces that nothing balances [N, N m].
+        pushes : (n_gp,) array
+            Contact forces and loads on gridpoints [N].
+        gravity : float
+            [m/s^2].
+        scaled : array or None
+            Fictitious masses; not needed.
+        """
+        if not self.free.any():
+            return 0.0
+        six = self._v(unbalanced)
+        left = np.maximum(np.linalg.norm(six[:, :3], axis=1), np.linalg.norm(six[:, 3:], axis=1) / self.size)
+        acting = np.maximum(np.add.reduceat(pushes[self.gridpoints], self._start[:-1]), self.mass * gravity)
+        return share(float(left[self.free].max()), float(acting[self.free].max()))
 
     def rotation(self, q: Array) -> Array:
         """Rotation of every block since the start, (n_blocks, 3, 3) [-]."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fdem.blocks.assembly import coupling_norms, elastic_stiffness
+from fdem.blocks.bounds import Springs, share
 from fdem.blocks.masses import InertiaCorrection, block_moments, lumped_moments, row_sum_masses, voronoi_masses
 from fdem.blocks.zoneforces import LargeStrain, SmallStrain, elasticity, rotation_vectors, voigt_strain
 from fdem.errors import MeshError, SceneError
@@ -73,6 +74,7 @@ class ZonedBlocks:
     """
 
     has_internal = True
+    in_place = True
 
     def __init__(
         self,
@@ -103,6 +105,7 @@ class ZonedBlocks:
         self.lam, self.mu = np.asarray(lam, dtype=np.float64), np.asarray(mu, dtype=np.float64)
         self.large = np.asarray(large, dtype=bool)
         self.n_blocks = self.large.size
+        self.rows = np.arange(self.n_blocks)
         self.zone_block = np.repeat(np.arange(self.n_blocks), np.diff(self.zone_start))
         m = self._nodes.shape[0]
         self.gradients, self.zone_volume = np.empty((m, 9)), np.empty(m)
@@ -276,6 +279,33 @@ class ZonedBlocks:
         row_start, _, value, diagonal = self._couple()
         sums = np.add.reduceat(value, row_start[:-1])
         return diagonal + sums + k_gp[self.gridpoints]
+
+    def step_bound(self, q: Array, springs: Springs) -> Array:
+        """Upper bounds of omega^2 per block (n_blocks,) on all springs [1/s^2]."""
+        return self.frequency_bound(q, springs.x, springs.k_gp)
+
+    def scaled_masses(self, q: Array, springs: Springs, swing: float) -> Array:
+        """Fictitious masses (n,) for `springs`; row sums have reserve enough for the `swing` of damping."""
+        return self.relaxation_mass(q, springs.x, springs.k_gp)
+
+    def scaled_kinetic(self, q: Array, v: Array, scaled: Array) -> float:
+        """``v.M v`` with the fictitious masses."""
+        return float(scaled @ (v[self.dofs].reshape(-1, 3) ** 2).sum(axis=1))
+
+    def unbalance(self, x: Array, unbalanced: Array, pushes: Array, gravity: float, scaled: Array | None) -> float:
+        """Largest unbalanced gridpoint force over the largest acting (see `RigidBlocks.unbalance`).
+
+        Positions end at their last bits, and so forces: that much (8 for the sum over the zones of a gridpoint) is not
+        counted when masses, and so stiffness, are known.
+        """
+        left = np.linalg.norm(unbalanced[self.dofs].reshape(-1, 3), axis=1)
+        if scaled is not None:
+            left -= 8 * np.finfo(float).eps * np.abs(x[self.gridpoints]).max() * scaled
+        inner = np.zeros(len(unbalanced))
+        self.internal(x, inner)
+        acting = float(np.linalg.norm(inner[self.dofs].reshape(-1, 3), axis=1).max())
+        weight = gravity * float(self.gp_mass.max())
+        return share(max(float(left.max()), 0.0), max(acting, weight, float(pushes[self.gridpoints].max(initial=0.0))))
 
     # recovery
 

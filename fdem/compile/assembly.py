@@ -216,6 +216,10 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
         wave_speed=speed,
         notes=notes,
     )
+    if body is not None:
+        body.rows, body.size, body.free = np.array(rigid), model.size[rigid], ~model.fixed[rigid]
+    if deformable is not None:
+        deformable.rows = np.array(zoned)
     _start(layout, model, state, rigid)
     return model, state
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fdem.blocks.bounds import joint_stiffness
+from fdem.blocks.bounds import Springs
 from fdem.constraints import Constraints
 from fdem.errors import UnstableError
 from fdem.loads import Bedding, Dashpot, Load
@@ -71,8 +71,7 @@ class System:
         self.stale = True
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
-        deformable = model.deformable
-        self._first_rigid_gp = 0 if deformable is None else deformable.gridpoints.stop
+        self._first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
         self._keeps_old = contacts is not None or self._load_old is not None
         self.weight = self._weight()
         self._terms = self._choose_terms()
@@ -84,8 +83,9 @@ class System:
         terms: list[Callable[[], None]] = []
         if self.contacts is not None:
             terms.append(lambda: self.contacts.forces(state.x, state.x_old, self._real_dt, state.f_gp))
-            if self.model.rigid is not None:
-                terms.append(lambda: self.model.rigid.pull(state.q, state.f_gp, state.f))
+            for batch in self.model.batches:
+                if not batch.in_place:
+                    terms.append(partial(batch.pull, state.q, state.f_gp, state.f))
         for batch in self.model.batches:
             if batch.has_internal:
                 terms.append(partial(batch.internal, state.x, state.f))
@@ -115,16 +115,14 @@ class System:
                 batch.push(state.q, state.v, self.xdot)
         for load in self.loads:
             load.add(state.t, state.step, state.x, self.xdot, total)
-        if self.model.rigid is not None:
-            self.model.rigid.pull(state.q, total, state.f)
-        if self.model.deformable is not None:
-            state.f[self.model.deformable.dofs] += total[self.model.deformable.gridpoints].ravel()
+        for batch in self.model.batches:
+            batch.pull(state.q, total, state.f)
 
     def forces(self) -> np.ndarray:
         """Generalised forces f(t, q, v) of the present configuration [N, N m]."""
         if not self.current:
-            # zoned gridpoints share memory with f: only the others are cleared here
-            self.state.f_gp[self._first_rigid_gp :].fill(0.0)
+            # gridpoints whose positions are unknowns share memory with f: only the others are cleared here
+            self.state.f_gp[self._first_pulled :].fill(0.0)
             np.copyto(self.state.f, self.weight)
             for term in self._terms:
                 term()
@@ -195,35 +193,17 @@ class System:
             v[self._held] = self.state.v[self._held]
         return v
 
-    def stiffness(self) -> np.ndarray:
-        """Contact and bedding stiffness per gridpoint (n_gp,) [N/m], a row-sum bound."""
-        model = self.model
-        k = self._bedding()
-        if self.contacts is not None:
-            mobile = ~np.isin(model.gp_block, np.flatnonzero(model.fixed))
-            k += self.contacts.potential_k_gp(self.state.x, mobile)
-        return k
-
-    def _bedding(self) -> np.ndarray:
-        k = np.zeros(len(self.model.X))
+    def springs(self) -> Springs:
+        """Contacts and bedded faces, as the bounds of frequencies see them."""
+        bedding = np.zeros(len(self.model.X))
         for load in self.loads:
             if isinstance(load, Bedding):
-                k[load.gp] += np.linalg.norm(load.matrices, 2, axis=(1, 2))
-        return k
-
-    def _springs(self, batch: Any) -> tuple[np.ndarray, ...]:
-        """What bounds the frequencies of a batch: gridpoint stiffness, and the joints of rigid blocks."""
-        model = self.model
-        if batch is not model.rigid or self.contacts is None:
-            return (self.stiffness(),)
-        place = np.where(model.zoned, -1, model.batch_row)
-        centre = self.state.q[batch.coords].reshape(-1, 7)[:, :3]
-        rows = self.contacts.stiffness(self.state.x)
-        return self._bedding(), joint_stiffness(rows, self.state.x, model.gp_block, ~model.fixed, place, centre)
+                bedding[load.gp] += np.linalg.norm(load.matrices, 2, axis=(1, 2))
+        return Springs(self.state.x, bedding, self.contacts, self.model.gp_block, ~self.model.fixed)
 
     def stiffened(self) -> bool:
         """Whether contact stiffness grew by 2 % of its block's largest anywhere, or halved in all, since last asked."""
-        k, model = self.stiffness(), self.model
+        k, model = self.springs().k_gp, self.model
         if self._k_used is not None:
             largest = np.zeros(model.n_blocks)
             np.maximum.at(largest, model.gp_block, self._k_used)
@@ -243,12 +223,10 @@ class System:
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""
-        model, result = self.model, np.zeros(self.model.n_blocks)
-        for batch, zoned in ((model.rigid, False), (model.deformable, True)):
-            if batch is not None:
-                rows = np.flatnonzero((model.batch_row >= 0) & (model.zoned == zoned))
-                result[rows] = batch.frequency_bound(self.state.q, self.state.x, *self._springs(batch))
-        result[model.fixed] = 0.0
+        springs, result = self.springs(), np.zeros(self.model.n_blocks)
+        for batch in self.model.batches:
+            result[batch.rows] = batch.step_bound(self.state.q, springs)
+        result[self.model.fixed] = 0.0
         return result
 
     def dashpot_rate(self) -> float:
@@ -258,10 +236,10 @@ class System:
             if isinstance(load, Dashpot):
                 strength = np.linalg.norm(load.matrices, 2, axis=(1, 2))
                 movable = self.model.gp_mass[load.gp] > 0
-                # a rigid block's gridpoints share its mass; 4 covers its rotation
-                per_block = np.bincount(self.model.gp_block[load.gp], strength, self.model.n_blocks)
-                zoned = self.model.zoned[self.model.gp_block[load.gp]]
-                lumped = np.where(zoned, strength, 4.0 * per_block[self.model.gp_block[load.gp]])
+                # the gridpoints of a block that moves as a whole share its mass; 4 covers its rotation
+                owner = self.model.gp_block[load.gp]
+                per_block = np.bincount(owner, strength, self.model.n_blocks)
+                lumped = np.where(load.gp < self._first_pulled, strength, 4.0 * per_block[owner])
                 rate = max(rate, float((lumped[movable] / self.model.gp_mass[load.gp][movable]).max(initial=0.0)))
         return rate
 
@@ -276,35 +254,16 @@ class System:
         Parameters
         ----------
         swing : float, optional
-            Largest factor by which damping makes a spring stiffer: what bounds rigid blocks is close to their true
-            frequency, and has no reserve for it (the row sums that bound zones have).
+            Largest factor by which damping makes a spring stiffer.
         """
         self.fictitious = True
-        q, x, model = self.state.q, self.state.x, self.model
-        self.scaled = [b.relaxation_mass(q, x, *self._springs(b)) for b in model.batches]
-        self.scaled = [s * swing if b is model.rigid else s for s, b in zip(self.scaled, model.batches, strict=True)]
-        if self.contacts is not None and model.rigid is not None:
-            self._slow_down_loose_blocks()
-
-    def _slow_down_loose_blocks(self) -> None:
-        """A rigid block that touches nothing yet moves as if on its joint: else it falls through what is below it."""
-        model, batch = self.model, self.model.rigid
-        rows = np.flatnonzero((model.batch_row >= 0) & ~model.zoned)
-        loose = batch.frequency_bound(self.state.q, self.state.x, *self._springs(batch)) == 0.0
-        kn = max(float(law.props[:, 0].max()) for law in self.contacts.laws)
-        joint = kn * model.size[rows[loose]] ** 2 / batch.mass[loose]
-        self.scaled[0][loose] = np.maximum(self.scaled[0][loose], joint)
+        springs = self.springs()
+        self.scaled = [batch.scaled_masses(self.state.q, springs, swing) for batch in self.model.batches]
 
     def scaled_kinetic(self, v: np.ndarray) -> float:
         """``v.M v`` with the fictitious masses."""
-        total = 0.0
-        for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
-            if batch is self.model.rigid:
-                six = v[batch.dofs].reshape(-1, 6)
-                total += float(np.einsum("n,ni,nij,nj->", scaled, six, batch.generalised_mass(self.state.q), six))
-            else:
-                total += float(scaled @ (v[batch.dofs].reshape(-1, 3) ** 2).sum(axis=1))
-        return total
+        pairs = zip(self.model.batches, self.scaled, strict=True)
+        return sum(float(batch.scaled_kinetic(self.state.q, v, scaled)) for batch, scaled in pairs)
 
     def largest_force(self) -> float:
         """Largest component [N] of contact forces, loads and weights."""
@@ -321,42 +280,16 @@ class System:
     def ratio(self) -> float:
         """Solve ratio: largest unbalanced force over the largest force acting, worst formulation."""
         self.forces()
-        state, model = self.state, self.model
-        unbalanced = state.f.copy()
+        unbalanced = self.state.f.copy()
         self.constraints.release(unbalanced)
-        worst = 0.0
-        if model.rigid is not None:
-            worst = self._rigid_ratio(unbalanced[model.rigid.dofs].reshape(-1, 6))
-        if model.deformable is not None:
-            batch = model.deformable
-            free = np.linalg.norm(unbalanced[batch.dofs].reshape(-1, 3), axis=1)
-            scaled = self.scaled[-1]
-            if scaled is not None:
-                # positions end at their last bits, and so forces: 8 for the sum over the zones of a gridpoint
-                free -= 8 * np.finfo(float).eps * np.abs(state.x[batch.gridpoints]).max() * scaled
-            left = max(float(free.max()), 0.0)
-            inner = np.zeros_like(state.f)
-            batch.internal(state.x, inner)
-            acting = float(np.linalg.norm(inner[batch.dofs].reshape(-1, 3), axis=1).max())
-            weight = float(np.linalg.norm(model.gravity)) * float(batch.gp_mass.max())
-            pushed = 0.0 if self.f_load is None else np.linalg.norm(self.f_load[batch.gridpoints], axis=1).max()
-            worst = max(worst, _share(left, max(acting, weight, pushed)))
-        return worst
-
-    def _rigid_ratio(self, unbalanced: np.ndarray) -> float:
-        model = self.model
-        rows = np.flatnonzero((model.batch_row >= 0) & ~model.zoned)
-        force = np.linalg.norm(unbalanced[:, :3], axis=1)
-        moment = np.linalg.norm(unbalanced[:, 3:], axis=1) / model.size[rows]
         pushes = np.linalg.norm(self.state.f_gp, axis=1)
+        pushes[: self._first_pulled] = 0.0  # there f_gp is the sum of all forces
         if self.f_load is not None:
-            pushes = pushes + np.linalg.norm(self.f_load, axis=1)
-        total = np.add.reduceat(pushes[: model.rigid.gridpoints.stop], model.gp_range[rows, 0])
-        acting = np.maximum(total, model.mass[rows] * np.linalg.norm(model.gravity))
-        free = ~model.fixed[rows]
-        if not free.any():
-            return 0.0
-        return _share(float(np.maximum(force, moment)[free].max()), float(acting[free].max()))
+            pushes += np.linalg.norm(self.f_load, axis=1)
+        gravity = float(np.linalg.norm(self.model.gravity))
+        pairs = zip(self.model.batches, self.scaled, strict=True)
+        shares = [batch.unbalance(self.state.x, unbalanced, pushes, gravity, scaled) for batch, scaled in pairs]
+        return max(shares, default=0.0)
 
     def check(self) -> None:
         """Refuse positions or velocities that are not finite.
@@ -380,7 +313,3 @@ class System:
             f"step {self.state.step}, t = {self.state.t:.6g} s, dt = {self.dt:.4g} s: {why}; "
             f"worst is gridpoint {gp} of block {name!r}"
         )
-
-
-def _share(part: float, whole: float) -> float:
-    return part / whole if whole > 0 else 0.0 if part == 0 else 1.0
