@@ -96,7 +96,7 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
         model.notes.append("contacts: left out, there are not two blocks of which one can move")
         return None
     from fdem.contact.contacts import Contacts, LawTable
-    from fdem.contact.surface import BlockSurface, Surfaces
+    from fdem.contact.surface import BlockSurface
 
     number = {tag: i for i, tag in enumerate(model.tags)}
     surfaces = []
@@ -118,19 +118,12 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
         )
     tables = JointTables(layout, select)
     model.notes.extend(tables.notes)
-    faces: list[Surfaces] = []
-
-    def assign(block_s: Any, block_m: Any, face_s: Any, face_m: Any, points: Any) -> Any:
-        if not faces:
-            faces.append(Surfaces.build(surfaces, state.x))
-        return tables.assign(block_s, block_m, faces[0].tag[face_s], faces[0].tag[face_m], points)
-
     contacts = Contacts(
         surfaces,
         state.x,
         gp_mass=model.gp_mass,
         laws=[LawTable(kernel, np.array(rows)) for kernel, rows in zip(tables.kernels, tables.rows, strict=True)],
-        assign=assign,
+        assign=tables.assign,
         gap_tolerance=layout.scene.gap_tolerance,
         names=model.names,
     )

@@ -36,8 +36,8 @@ class Contacts:
         Mass of every gridpoint; for blocks that move affinely the block's mass [kg].
     laws : sequence of LawTable
     assign : callable
-        ``assign(block_s, block_m, face_s, face_m, points) -> (law, prop[, joint])``, int arrays; law -1: no contact.
-        Faces index `surfaces.tag` and `surfaces.source`.
+        ``assign(block_s, block_m, tag_s, tag_m, points) -> (law, prop[, joint])``, int arrays; law -1: no contact.
+        Tags are those of the two faces (-1: none).
     may_touch : callable, optional
         ``may_touch(block_a, block_b) -> mask``.
     gap_tolerance : float, optional
@@ -141,8 +141,8 @@ class Contacts:
             answer = self.assign(
                 self.slave[p.pair[fresh]],
                 self.master[p.pair[fresh]],
-                p.face_s[fresh],
-                p.face_m[fresh],
+                s.tag[p.face_s[fresh]],
+                s.tag[p.face_m[fresh]],
                 cut.centre[fresh],
             )
             p.law[fresh], p.prop[fresh] = answer[0], answer[1]
