@@ -14,6 +14,7 @@ from fdem.contact.history import inherit_history, inherit_laws, known_offsets
 from fdem.contact.laws import LawTable
 from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
 from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
+from fdem.contact.wear import drifted_pairs, worn_pairs
 from fdem.errors import OverlapError, SceneError
 from fdem.kernels import footprints, joints, memory, upkeep
 from fdem.kernels import patches as kernels
@@ -183,23 +184,16 @@ class Contacts:
         if (motion > 0.5 * self._skins).any():
             return self._redo(x, motion > 0.25 * self._skins)
         self.x_check[:] = x
-        worn = self._worn(x)
+        worn = worn_pairs(self, x)
         if not worn.any():
             return False
         self._replace(np.flatnonzero(worn).astype(np.int32), x, self._slip_energies())
         return True
 
-    def _worn(self, x: Array) -> Any:
-        p, g = self.patches, self.ghosts
-        worn = np.zeros(len(self.pairs), np.uint8)
-        upkeep.worn_pairs(p.gp, p.pair, p.w_clip, p.reach, p.normal_reach, x, worn)
-        upkeep.worn_pairs(g.gp, g.pair, g.w, g.reach, g.reach, x, worn)
-        return worn
-
     def _redo(self, x: Array, refreshed: Any) -> bool:
         """New broad phase; pairs of refreshed blocks, new pairs and worn ones are cut anew."""
         self.energy()
-        worn = self._worn(x)
+        worn, drifted = worn_pairs(self, x), drifted_pairs(self, x)
         old_pairs = self.pairs
         self.pairs = candidate_pairs(self.surfaces, x, self._skins, self.may_touch)
         n = self.surfaces.n_blocks
@@ -211,6 +205,7 @@ class Contacts:
         due = refreshed[self.pairs[:, 0]] | refreshed[self.pairs[:, 1]]
         known = np.zeros(len(key), bool)
         known[at_new] = True
+        due[at_new] &= drifted[at_old]
         due |= ~known
         due[at_new] |= worn[at_old] > 0
         self._orient()

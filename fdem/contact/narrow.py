@@ -18,6 +18,7 @@ __all__ = ["Ghosts", "Patches", "cut_pairs"]
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+ALIGNED = 0.99  # -n_a.n_f above which two faces lie against each other
 STRIP = 0.02  # -n_a.n_f below which a patch is a side strip: force only
 TRAVEL = 1e-3  # of the square root of the pair's largest patch: motion after which walls are cut anew
 LATENT_TRAVEL = 1e-4  # of it: least motion into the face before side strips that were left out are looked at again
@@ -194,6 +195,10 @@ def cut_pairs(
         local, keep | facing, start, corners, plane_depth - p.offset, area, p.ref_ratio, prune * largest_closed, latent
     )
     latent = np.maximum(latent, LATENT_TRAVEL * travel)
+    # face against face: strips carry no normal force, so closure alone is no reason (CONTACT.md 3.9)
+    flat = keep & (align > ALIGNED)
+    latent[local[flat]] = 0.25 * window[which[local[flat]]]
+    p.flags[flat] |= kernels.FLAT
     p.reach[:] = (nearest + TRAVEL * travel)[local]
     p.normal_reach[:] = latent[local]
     p.flags[facing] |= kernels.FACING

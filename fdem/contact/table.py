@@ -90,7 +90,8 @@ def contact_table(c: Contacts, x: Array) -> dict[str, Any]:
     dict
         block_a, block_b, joint (int32; a has the lower id), normal (n, 3) from a to b, gap [m], area [m2],
         traction (n, 3) [Pa] as pressure and two shear components in `frame`, force (n, 3) [N] on block b, slip [m]
-        (distance slipped up to the last commit), state (int8: 0 intact, 1 closed, 2 slipping, 3 open), position (n, 3) [m], patch, frame.
+        (distance slipped up to the last commit), state (int8: 0 intact, 1 closed, 2 slipping, 3 open), position (n, 3)
+        [m], patch, frame.
         Open rows stand for the whole patch; side strips are listed only while they carry force.
     """
     p = c.patches

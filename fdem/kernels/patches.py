@@ -11,7 +11,7 @@ import numpy as np
 
 from fdem._jit import kernel
 
-WHOLE, FACING, DILATES = 1, 2, 8  # bits of a patch's flags
+WHOLE, FACING, DILATES, FLAT = 1, 2, 8, 16  # bits of a patch's flags; FLAT: face against face
 ALIGNED = 0.99
 
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fdem._jit import kernel
+
+FLAT = 16  # bit of a patch's flags, see kernels/patches.py
 
 
 @kernel
@@ -36,15 +40,18 @@ def block_motion(surface_gp, surface_start, x, x_ref, out):
 
 
 @kernel
-def worn_pairs(gp, pair, w, reach, normal_reach, x, out):
+def worn_pairs(gp, pair, w, flags, reach, normal_reach, x, out):
     """Mark pairs (n_pairs,) uint8 one of whose patches moved further than the clip allows.
 
     `w` (3 n, 7) are the row weights at the clip, so that ``sum w x`` is the motion since; `reach` (n,) [m] bounds its
-    length, `normal_reach` (n,) how far it goes into the master face.
+    length, `normal_reach` (n,) how far it goes into the master face. Where a face lies against a face (`flags`),
+    `reach` bounds the motion along it and the tilt, not the closure: the faces keep the area they had (CONTACT.md 3.9).
     """
     for i in range(len(gp)):
         if out[pair[i]]:
             continue
+        flat = (flags[i] & FLAT) != 0
+        low, high = np.inf, -np.inf
         a, b, c = gp[i, 3], gp[i, 4], gp[i, 5]
         ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
         vx, vy, vz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
@@ -56,7 +63,11 @@ def worn_pairs(gp, pair, w, reach, normal_reach, x, out):
                 g = gp[i, k]
                 dx, dy, dz = dx + w[q, k] * x[g, 0], dy + w[q, k] * x[g, 1], dz + w[q, k] * x[g, 2]
             across = (dx * nx + dy * ny + dz * nz) / scale
-            if not dx * dx + dy * dy + dz * dz <= reach[i] * reach[i] or -across > normal_reach[i]:
+            moved = dx * dx + dy * dy + dz * dz
+            if flat:
+                low, high = min(low, across), max(high, across)
+                moved = max(moved - across * across, (high - low) ** 2)
+            if not moved <= reach[i] * reach[i] or -across > normal_reach[i]:
                 out[pair[i]] = 1
 
 

@@ -287,3 +287,19 @@ def test_block_dragged_by_a_spring():
     assert energy.friction == pytest.approx(mu * mass * G * slip, rel=2e-3)
     assert abs(energy.error) <= 1e-3 * energy.friction
     assert sim[load].force[0] == pytest.approx(mu * mass * G, rel=0.02)
+
+
+@pytest.mark.parametrize("kn", [1e9, 5e7])
+def test_flush_cubes_keep_the_area_they_touch_with(kn):
+    """Ten equal cubes: closure k is N_k / (kn A), up to 4e-3 of the edge (oracle: integ_relaxation_equilibrium)."""
+    scene = fdem.Scene()
+    scene.add(fdem.brick((0, 0, -1), (1, 1, 0)), fdem.Rigid(), fixed=True)
+    cubes = [
+        scene.add(fdem.brick((0, 0, k), (1, 1, k + 1)), fdem.Rigid(), fdem.Elastic(density=2000.0)) for k in range(10)
+    ]
+    scene.joint(fdem.Coulomb(kn=kn, ks=kn, friction=30))
+    sim = fdem.Simulation(scene, fdem.Relaxation())
+    assert sim.solve(ratio=1e-9).converged
+    heights = np.array([0.0, *(sim[cube].displacement[2] for cube in cubes)])
+    exact = 2000.0 * 9.81 * np.arange(10, 0, -1) / kn
+    np.testing.assert_allclose(-np.diff(heights), exact, rtol=1e-6)  # the oracle's 1e-6 at ratio 1e-8
