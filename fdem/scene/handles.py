@@ -80,8 +80,16 @@ class Block:
                 block._given = given
             raise
 
-    velocity: np.ndarray = property(lambda self: self._given["velocity"])  # type: ignore[assignment]
-    angular_velocity: np.ndarray = property(lambda self: self._given["angular_velocity"])  # type: ignore[assignment]
+    @property
+    def velocity(self) -> np.ndarray:
+        """Velocity at the start (3,) [m/s]."""
+        return np.asarray(self._given["velocity"])
+
+    @property
+    def angular_velocity(self) -> np.ndarray:
+        """Angular velocity at the start (3,) [rad/s]."""
+        return np.asarray(self._given["angular_velocity"])
+
     group = property(lambda self: self._given["group"], lambda self, value: self._scene.regroup(self, value))
     shape = property(lambda self: self._given["shape"], lambda self, value: self.set(shape=as_shape(value)))
     body = property(lambda self: self._given["body"], lambda self, value: self.set(body=value))
