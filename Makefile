@@ -29,6 +29,7 @@ test-long: $(STAMP)
 
 bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python benchmarks/kernels.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/step.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/flex.py
 
 docs: $(STAMP)
