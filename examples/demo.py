@@ -60,8 +60,8 @@ def rock_mass(seed: int, size: float) -> fdem.Scene:
     for block in scene.blocks:
         if np.linalg.norm(block.shape.points[:, [0, 2]], axis=1).min() < 2.0 * RADIUS:
             block.body = fdem.Zoned(size=size)
-    for axis in range(3):
-        scene.fix(component="xyz"[axis], where=lambda x, k=axis: np.abs(np.abs(x[:, k]) - HALF) < 1e-6)
+    for axis in range(3):  # nothing but the model's boundary holds the outer faces, so rigid blocks must not turn there
+        scene.fix(component=("xyz"[axis], "rotation"), where=lambda x, k=axis: np.abs(np.abs(x[:, k]) - HALF) < 1e-6)
     scene.joint(fdem.Coulomb(kn=10e9, ks=4e9, friction=32))
     scene.joint(fdem.Coulomb(kn=10e9, ks=4e9, friction=20), "J3")
     for name in ("heading", "bench"):
