@@ -52,7 +52,10 @@ def grid_box(nx, ny, size=(1.0, 1.0, 1.0), gx=None, gy=None):
     g = np.array([[a, b] for a in gx for b in gy])
     n = len(g)
     pts = np.vstack([np.c_[g, np.zeros(n)], np.c_[g, np.ones(n)]]) * size
-    at = lambda i, j: i * (ny + 1) + j  # noqa: E731
+
+    def at(i, j):
+        return i * (ny + 1) + j
+
     tri = []
     for i in range(nx):
         for j in range(ny):

@@ -161,6 +161,7 @@ def test_friction_capacity_of_unaligned_contacts(shape):
     upper = move(upper, t=(0, 0, lower[0][:, 2].max() - upper[0][:, 2].min() - 0.02))
     w = World([upper, lower], law=coulomb(tan=0.5), clip_always=True)
     f = drive(w, [[0, 0, 0]] + [[0, 5e-4, 0]] * 100)
+    # CONTACT.md 6: friction capacity of edges and corners 1 +- 0.01
     np.testing.assert_allclose(np.abs(f[-1, 1]) / f[-1, 2], 0.5, rtol=1e-2)
 
 

@@ -288,6 +288,7 @@ def test_free_fall_is_rigid(mesh, mass):
     blocks.weight(g, f)
     blocks.accelerate(None, f, a)
     np.testing.assert_allclose(a.reshape(-1, 3), np.tile(g, (len(X), 1)), rtol=1e-11)
+    # Voronoi masses shift the centre of mass by some per cent of a coarse block's size (NUMERICS.md 2)
     assert blocks.potential(g, X, None) == pytest.approx(-DENSITY * g @ blocks.centroid[0], rel=0.05)
 
 
@@ -329,6 +330,7 @@ def test_cube_modes():
     values = np.sort(sla.eigsh(A.tocsc(), 18, sigma=-shift, return_eigenvectors=False))
     found = np.sqrt(np.abs(values) * density / mu)
     assert found[:6].max() <= 1e-6 * omega[0] * 10 and found[6] > 0.9 * omega[0]
+    # the oracle's 3 % at 8 cells; its 1e-6 for rigid modes is held in verify/: here the eigensolver's shift limits it
     np.testing.assert_allclose(found[6:], omega, rtol=0.03)
 
 

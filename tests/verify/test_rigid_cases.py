@@ -89,8 +89,6 @@ def test_incline_launched_up(settle, body, phi):
     The joint is damped: friction that sets in at once makes the block rock, and a block that rocks slips. It starts
     without shear, and friction is complete one step later: an error of order dt.
     """
-    if body == "zoned" and phi not in (20.0, 31.0):
-        pytest.skip("zoned: one angle that slides back and one that sticks")
     start = settle(body, 30.05, along=0.0)
     sim, block = on_slope(body, phi, start, velocity=(-3.0, 0.0, 0.0), damping=0.3, safety=SHARE[body])
     path = sim.history(block, "displacement", component="x")
@@ -109,7 +107,8 @@ def test_incline_launched_up(settle, body, phi):
         assert back <= 2 * (2 * elastic - 0.5 * kick**2 / down)
     else:
         exact = 0.5 * down * 0.3**2
-        assert 0.99 * exact <= back <= exact + 1.2 * 0.3 * kick
+        # 0.1 % as on the way up, where no friction can kick; the top is read at whole steps, hence 1 % below
+        assert 0.99 * exact <= back <= 1.001 * exact + 1.2 * 0.3 * kick
 
 
 def test_impact_at_the_automatic_step():
