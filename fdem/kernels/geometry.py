@@ -165,47 +165,6 @@ def thickness(face_start, corner_start, corner_x, normal, convex, is_open, out):
 
 
 @kernel
-def sweep(lower, upper, reach, fixed):
-    """Pairs (i < j) of blocks whose boxes, grown by `reach` (n_blocks,) [m], meet; not both fixed. Sorted by id."""
-    n = len(reach)
-    lo, hi = lower.copy(), upper.copy()
-    spread = np.zeros(3)
-    for i in range(n):
-        for d in range(3):
-            lo[i, d] -= reach[i]
-            hi[i, d] += reach[i]
-    for d in range(3):
-        spread[d] = np.std(lo[:, d])
-    axis = np.argmax(spread)
-    order = np.argsort(lo[:, axis], kind="mergesort")
-    out = np.empty((max(16, 8 * n), 2), np.int32)
-    m = 0
-    for k in range(n):
-        i = order[k]
-        for q in range(k + 1, n):
-            j = order[q]
-            if lo[j, axis] > hi[i, axis]:
-                break
-            if fixed[i] and fixed[j]:
-                continue
-            apart = False
-            for d in range(3):
-                if lo[j, d] > hi[i, d] or lo[i, d] > hi[j, d]:
-                    apart = True
-            if apart:
-                continue
-            if m == len(out):
-                grown = np.empty((2 * m, 2), np.int32)
-                grown[:m] = out
-                out = grown
-            out[m, 0], out[m, 1] = min(i, j), max(i, j)
-            m += 1
-    out = out[:m]
-    key = out[:, 0].astype(np.int64) * n + out[:, 1]
-    return out[np.argsort(key, kind="mergesort")]
-
-
-@kernel
 def _overlap(lower, upper, i, j, reach):
     """Whether the boxes i and j (rows of lower, upper), grown by `reach` in all, meet."""
     for d in range(3):
