@@ -295,17 +295,36 @@ def _bounds(bufs, work, n_pieces, xs, df, box):
 
 
 @kernel
+def _around(faces, lo, hi, m, reach, face_start, lower, upper, box, out):
+    """Faces of block m whose boxes lie within `reach` of the slave faces ``faces[lo:hi, 0]``, into `out`; their number."""
+    box[0], box[1] = np.inf, -np.inf
+    for row in range(lo, hi):
+        a = faces[row, 0]
+        for d in range(3):
+            box[0, d], box[1, d] = min(box[0, d], lower[a, d] - reach), max(box[1, d], upper[a, d] + reach)
+    n = 0
+    for g in range(face_start[m], face_start[m + 1]):
+        if lower[g, 0] <= box[1, 0] and lower[g, 1] <= box[1, 1] and lower[g, 2] <= box[1, 2]:
+            if upper[g, 0] >= box[0, 0] and upper[g, 1] >= box[0, 1] and upper[g, 2] >= box[0, 2]:
+                out[n] = g
+                n += 1
+    return n
+
+
+@kernel
 def _rivals(
-    f, m, xs, df, h, snap, n_pieces, convex, affine, face_start, corner_start, corner_x, normal, wall, kind, lower,
+    f, around, xs, df, h, snap, n_pieces, convex, affine, all_faces, corner_start, corner_x, normal, wall, kind, lower,
     upper, bufs, work, tmp, part, dg, v, o, box,
 ):  # fmt: skip
-    """Take away what other faces of the master are nearer to; number of pieces, margin and miss as in `_own_cell`."""
+    """Take away what other faces of the master are nearer to; number of pieces, margin and miss as in `_own_cell`.
+
+    `around` are the faces that may be: all of a convex master with few of them, else those near the slave.
+    """
     margin, miss = np.inf, np.inf
     near = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
     lo0, lo1, lo2 = box[0, 0] - near, box[0, 1] - near, box[0, 2] - near
     hi0, hi1, hi2 = box[1, 0] + near, box[1, 1] + near, box[1, 2] + near
-    all_faces = convex and face_start[m + 1] - face_start[m] <= 32
-    for g in range(face_start[m], face_start[m + 1]):
+    for g in around:
         if g == f or (not all_faces and (
             lower[g, 0] > hi0 or lower[g, 1] > hi1 or lower[g, 2] > hi2
             or upper[g, 0] < lo0 or upper[g, 1] < lo1 or upper[g, 2] < lo2
@@ -488,10 +507,19 @@ def clip_faces(
     key, margins, corners = np.empty((64, 4), np.int32), np.empty(64), np.empty((512, 2))
     miss, miss_face = np.full(n_pairs, np.inf), np.full((n_pairs, 2), -1, np.int32)
     too_deep = np.zeros(n_pairs, np.uint8)
+    most = 0
+    for m in master:
+        most = max(most, face_start[m + 1] - face_start[m])
+    near = np.empty(most, np.int32)
     n_out, n_corners = 0, 0
     for p in range(n_pairs):
         m, h, snap = master[p], window[p], SNAP * size[p]
         prove = not convex[m] and not is_open[m]
+        first, last = face_start[m], face_start[m + 1]
+        all_faces = convex[m] and last - first <= 32
+        reach = np.inf if all_faces else max(4.0 * h, min(limit[first:last].max(), size[p])) + h
+        n_around = _around(faces, pair_start[p], pair_start[p + 1], m, reach, face_start, lower, upper, box, near)
+        around = near[:n_around]
         for row in range(pair_start[p], pair_start[p + 1]):
             a, f = faces[row, 0], faces[row, 1]
             count, triangle = _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, df, poly, tmp)
@@ -502,8 +530,8 @@ def clip_faces(
             )
             if n_pieces > 0:
                 n_pieces, nearest, lost = _rivals(
-                    f, m, xs, df, h, snap, n_pieces, convex[m], affine[m], face_start, corner_start, corner_x, normal,
-                    wall, kind, lower, upper, bufs, work, tmp, part, dg, v, o, box,
+                    f, around, xs, df, h, snap, n_pieces, convex[m], affine[m], all_faces, corner_start, corner_x,
+                    normal, wall, kind, lower, upper, bufs, work, tmp, part, dg, v, o, box,
                 )  # fmt: skip
                 margin = min(margin, nearest)
             if n_pieces == 0 and lost < miss[p]:
