@@ -18,7 +18,7 @@ CURVATURE = 2.0  # bound of d2U/dh2 over kn A_c for a contact that gets deeper b
 
 
 def pair_corners(c: Contacts) -> tuple[Array, ...] | None:
-    """Arrays of `corner_energy` per pair: stiffness, area, scratch, slopes, factor, energy; None if none is asked for."""
+    """Arrays of `corner_energy` per pair: stiffness, area, scratch, slopes, factor, energy; None if not asked for."""
     p, n = c.patches, len(c.pairs)
     if not any(law.corner is not None and law.corner.any() for law in c.laws):
         return None
