@@ -109,7 +109,7 @@ def impact(seed, share):
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_impacts_keep_their_energy(seed):
-    """The force sets in with a finite stiffness, where leapfrog loses its order: 1e-6 at 0.1, a tenth of it at 0.025."""
+    """The force sets in with a finite stiffness, where leapfrog loses its order: 1e-6 at 0.1, 1e-7 at 0.025."""
     for share, bound in ((0.1, 2e-6), (0.025, 2e-7)):
         energy, momentum = impact(seed, share)
         assert energy < bound
