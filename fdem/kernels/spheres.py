@@ -8,7 +8,7 @@ Every law is one formula in the overlap d and what the pair's row of `table` say
 with ``r = sqrt(d)`` for Hertz-Mindlin (K = 4/3 E* sqrt(R*), k_t = 8 G* sqrt(R*)) and ``r = 1`` for linear springs. s
 is the elastic slip, a vector that turns with the contact. Where the contact area grows, s shrinks so that T stays (new
 area carries no shear); where it shrinks, s stays and T falls. So the spring loses energy and never gains any; what it
-loses counts as dissipated by friction (Thornton, Cummins, Cleary, Powder Technology 233 (2013) 30-46, section 3).
+loses counts as dissipated by friction (Thornton, Cummins, Cleary, Powder Technology 233 (2013) 30-46).
 
 The two bodies meet in the middle of the overlap: arms and forces are those of one point, which keeps angular momentum.
 
@@ -21,7 +21,7 @@ The two bodies meet in the middle of the overlap: arms and forces are those of o
 | table | (k, 10) | K [N/m, N/m^1.5], k_t, c_n, c_t, mu, 1 for Hertz or 0, rolling, twisting length [m], - , - |
 | memory_old, memory | (m, 4) | committed and trial history: s [m], r (0: open) |
 | dt | float | time since the last commit [s]; 0: no dashpots |
-| force | (n, 8) | out: force [N] 0-2, sum of tangent stiffness [N/m] 3, moment [N m] 4-6 |
+| force | (n, 8) | out: force [N] 0-2, sum of tangent stiffness [N/m] 3, moment [N m] 4-6, sum of normal forces [N] 7 |
 | record | (m, 4) or (0, 4) | out, if it has rows: N [N], T on the first sphere's partner [N] |
 | out | (4,) | friction and damping work [J], added to; touching pairs; 1 + row of a pair that is too deep, or 0 |
 """
@@ -163,6 +163,7 @@ def _pairs_done(count, first, second, row, work, inverse_dt, memory, force, reco
         force[a, 4] -= ai * mx
         force[a, 5] -= ai * my
         force[a, 6] -= ai * mz
+        force[a, 7] += normal
         force[b, 0] += gx
         force[b, 1] += gy
         force[b, 2] += gz
@@ -170,6 +171,7 @@ def _pairs_done(count, first, second, row, work, inverse_dt, memory, force, reco
         force[b, 4] -= aj * mx
         force[b, 5] -= aj * my
         force[b, 6] -= aj * mz
+        force[b, 7] += normal
         for c in range(4):
             memory[k, c] = work[(24 + c) * L + i]
         if len(record) > 0:
@@ -292,6 +294,7 @@ def _face_done(i, k, a, k_t, geometry, work, memory, force, push, record, out):
     force[a, 4] -= arm * (ny * t2 - nz * t1)
     force[a, 5] -= arm * (nz * t0 - nx * t2)
     force[a, 6] -= arm * (nx * t1 - ny * t0)
+    force[a, 7] += normal
     for c in range(4):
         memory[k, c] = work[(24 + c) * L + i]
     memory[k, 4], memory[k, 5], memory[k, 6], memory[k, 7] = nx, ny, nz, k_t
@@ -309,3 +312,21 @@ def stored(overlap, kind, table, memory):
             normal += power * table[row, 0] * root * overlap[k] * overlap[k]
             shear += 0.5 * table[row, 1] * root * (memory[k, 0] ** 2 + memory[k, 1] ** 2 + memory[k, 2] ** 2)
     return normal, shear
+
+
+@kernel
+def ball_accelerate(f, inverse, scale, a):
+    """Accelerations of spheres: ``F / (scale m)`` and ``T / (scale I)``; `inverse` (n, 2) is 1/m, 1/I; f, a (n, 6)."""
+    for b in range(len(f)):
+        m, i = inverse[b, 0] / scale[b], inverse[b, 1] / scale[b]
+        a[b, 0], a[b, 1], a[b, 2] = m * f[b, 0], m * f[b, 1], m * f[b, 2]
+        a[b, 3], a[b, 4], a[b, 5] = i * f[b, 3], i * f[b, 4], i * f[b, 5]
+
+
+@kernel
+def ball_advance(q, v, dt):
+    """Move the centres q (n, 3) [m] by `dt` [s] with v (n, 6)."""
+    for b in range(len(q)):
+        q[b, 0] += dt * v[b, 0]
+        q[b, 1] += dt * v[b, 1]
+        q[b, 2] += dt * v[b, 2]
