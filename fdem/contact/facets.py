@@ -114,7 +114,8 @@ class FaceContacts:
         self.trial = np.zeros_like(self.memory)
         self.active, self.source = np.zeros(n, np.uint8), np.full(n, -1, np.int64)
         self.geometry, self.push, self.record = np.zeros((n, 9)), np.zeros((n, 3)), np.zeros((n, 4))
-        self.slot_kind, self.where, self.weight = np.zeros(n, np.uint32), np.zeros(n, np.int64), np.zeros((n, 3))
+        self.slot_kind, self.candidate = np.zeros(n, np.uint32), np.zeros(n, np.int64)
+        self.weight = np.zeros((n, 3))
         self.lost = np.zeros(1)
         self.put(x)
 
@@ -130,7 +131,7 @@ class FaceContacts:
         kernels.touch(
             self.at, self.start, self.face, self.kind, self.slot_start, place, motion, self.ref, self.corner_start,
             self.corner_x, self.normal, x, x_old, self.memory, self.active, self.geometry, self.slot_kind, self.source,
-            self.where, self.weight, self.lost,
+            self.candidate, self.weight, self.lost,
         )  # fmt: skip
 
     def inherit(self, old: FaceContacts, at_old: Any, n_blocks: int, block: Any = None) -> None:
@@ -148,9 +149,10 @@ class FaceContacts:
             New number of every old block; None: the same.
         """
         before = old.block if block is None else np.asarray(block)[old.block]
-        mine = at_old[self.at] * np.int64(n_blocks) + self.block
+        mine, theirs = at_old[self.at] * np.int64(n_blocks) + self.block, old.at * np.int64(n_blocks) + before
         mine[at_old[self.at] < 0] = -1
-        _, here, there = np.intersect1d(mine, old.at * np.int64(n_blocks) + before, return_indices=True)
+        theirs[before < 0] = -2
+        _, here, there = np.intersect1d(mine, theirs, return_indices=True)
         for k in range(SLOTS):
             target, source = self.slot_start[here] + k, old.slot_start[there] + k
             both = (target < self.slot_start[here + 1]) & (source < old.slot_start[there + 1])
@@ -158,4 +160,4 @@ class FaceContacts:
 
     def spread(self, f_gp: Array) -> None:
         """Add the forces on faces to their gridpoints [N]."""
-        kernels.spread(self.active, self.where, self.weight, self.ref, self.push, f_gp)
+        kernels.spread(self.active, self.candidate, self.weight, self.face, self.ref, self.push, f_gp)

@@ -98,6 +98,11 @@ class SphereTable:
     -----
     Sides that are alike make a class. Few classes: all combinations are tabulated once, and a row number is looked up.
     Many (a size distribution): each contact gets a row of its own.
+
+    Attributes
+    ----------
+    rows : (k, 10) array
+        See kernels/spheres.py.
     """
 
     def __init__(
@@ -124,7 +129,18 @@ class SphereTable:
         self._checked = np.zeros(n * n * len(self.laws), dtype=bool) if self.dense else None
         if self.dense:
             rule, a, b = (part.ravel() for part in np.indices((len(self.laws), n, n)))
-            self.rows = self._constants(rule, a, b, check=False)
+            self.rows = self._constants(rule, self._sides[a], self._sides[b])
+
+    def hardest(self, sides: slice) -> Array:
+        """Rows (n, 10) of `sides` against a rigid plane, under the law that makes it stiffest."""
+        plane = np.tile([np.inf, 0.0, 0.0, 0.0, 0.0], (self._n, 1))
+        best = np.zeros((self._n, COLUMNS))
+        for k in range(len(self.laws)):
+            rows = self._constants(np.full(self._n, k), self._sides, plane)
+            # a contact without elastic constants on either side cannot be: it is refused when it comes
+            rows[~np.isfinite(rows[:, 0])] = 0.0
+            best = np.where((rows[:, 0] > best[:, 0])[:, None], rows, best)
+        return best[self._class[sides]]
 
     def kinds(self, rule: Any, a: Any, b: Any) -> NDArray[np.uint32]:
         """Row of the table for contacts between sides `a` and `b` under `rule`, (m,) each.
@@ -139,28 +155,40 @@ class SphereTable:
         first, second = self._class[a], self._class[b]
         rule = np.asarray(rule, dtype=np.int64)
         if self._checked is None:
-            self.rows = self._constants(rule, first, second, check=True)
+            self._check(rule, first, second)
+            self.rows = self._constants(rule, self._sides[first], self._sides[second])
             return np.arange(len(rule), dtype=np.uint32)
         kind = (rule * self._n + first) * self._n + second
         if not self._checked[kind].all():
             new = np.unique(kind[~self._checked[kind]])
-            self._constants(new // self._n**2, new // self._n % self._n, new % self._n, check=True)
+            self._check(new // self._n**2, new // self._n % self._n, new % self._n)
             self._checked[new] = True
         return kind.astype(np.uint32)
 
-    def _constants(self, rule: Any, a: Any, b: Any, check: bool) -> Array:
-        """Rows (n, 10) of kernels/spheres.py for pairs of classes."""
+    def _check(self, rule: Any, a: Any, b: Any) -> None:
+        """Refuse Hertz contacts between classes without elastic constants."""
+        for k, law in enumerate(self.laws):
+            mine = np.flatnonzero(rule == k) if law.hertz else np.zeros(0, int)
+            bad = ~(self._compliance(law, self._sides[a[mine]], self._sides[b[mine]])[0] > 0.0)
+            if bad.any():
+                name, other = (self._names[self._first[side[mine[np.argmax(bad)]]]] for side in (a, b))
+                raise SceneError(
+                    f"joint {law.name}: young and poisson are missing: the law has none, nor have the materials of "
+                    f"blocks like {name!r} and {other!r}"
+                )
+
+    def _constants(self, rule: Any, first: Array, second: Array) -> Array:
+        """Rows (n, 10) of kernels/spheres.py for contacts between sides (n, 5)."""
         rows = np.zeros((len(rule), COLUMNS))
         for k, law in enumerate(self.laws):
             mine = np.flatnonzero(rule == k)
-            first, second = self._sides[a[mine]], self._sides[b[mine]]
-            inverse = first[:, 1] + second[:, 1]
+            a, b = first[mine], second[mine]
             with np.errstate(divide="ignore", invalid="ignore"):
-                mass = 1.0 / inverse
+                mass = 1.0 / (a[:, 1] + b[:, 1])
                 if law.hertz:
-                    rows[mine, :4] = self._hertz(law, first, second, mass, a[mine], b[mine], check)
+                    rows[mine, :4] = self._hertz(law, a, b, mass)
                 else:
-                    area = np.pi * np.minimum(first[:, 0], second[:, 0]) ** 2
+                    area = np.pi * np.minimum(a[:, 0], b[:, 0]) ** 2
                     rows[mine, 0] = law.kn * area
                     rows[mine, 1] = law.ks * area
                     rows[mine, 2] = 2.0 * law.damping * np.sqrt(rows[mine, 0] * mass)
@@ -171,24 +199,23 @@ class SphereTable:
         rows[slick, 4], rows[slick, 3], rows[slick, 1] = 0.0, 0.0, rows[slick, 0]
         return rows
 
-    def _hertz(self, law: SphereLaw, first: Array, second: Array, mass: Array, a: Any, b: Any, check: bool) -> Array:
+    @staticmethod
+    def _compliance(law: SphereLaw, first: Array, second: Array) -> tuple[Array, Array]:
+        """``1 / E*`` and ``1 / G*`` [1/Pa]; negative or 0 where a constant is missing or both sides are rigid."""
+        normal, shear = np.zeros(len(first)), np.zeros(len(first))
+        for side in (first, second):
+            own = side[:, 2:4] if law.compliance is None else np.asarray(law.compliance) * side[:, 4:5]
+            normal, shear = normal + own[:, 0], shear + own[:, 1]
+        return normal, shear
+
+    def _hertz(self, law: SphereLaw, first: Array, second: Array, mass: Array) -> Array:
         """Columns 0-3: stiffness and dashpots of a Hertz-Mindlin contact.
 
         In the variable ``2 d^(5/4) / sqrt(5)`` a Hertz contact with the dashpot ``a sqrt(m K) d^(1/4)`` is a linear
         one with the damping ratio ``a / sqrt(5)`` (Antypov and Elliott, EPL 94 (2011) 50004), so that the restitution
         of a linear contact that does not pull is also that of this one.
         """
-        normal, shear = np.zeros(len(first)), np.zeros(len(first))
-        for side in (first, second):
-            own = side[:, 2:4] if law.compliance is None else np.asarray(law.compliance) * side[:, 4:5]
-            normal, shear = normal + own[:, 0], shear + own[:, 1]
-        bad = np.flatnonzero(~(normal > 0.0))
-        if check and len(bad):
-            name, other = (self._names[self._first[side[bad[0]]]] for side in (a, b))
-            raise SceneError(
-                f"joint {law.name}: young and poisson are missing: the law has none, nor have the materials of blocks "
-                f"like {name!r} and {other!r}"
-            )
+        normal, shear = self._compliance(law, first, second)
         root = np.sqrt(1.0 / (1.0 / first[:, 0] + 1.0 / second[:, 0]))
         stiffness, tangent = 4.0 / 3.0 / normal * root, 8.0 / shear * root
         dashpot = np.sqrt(5.0) * law.damping * np.sqrt(mass * stiffness)

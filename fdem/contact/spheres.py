@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fdem.contact.facets import FaceContacts, Facets
 from fdem.contact.particles import Particles, SphereTable
+from fdem.contact.sphere_springs import ParticleSprings, alone, springs_of
 from fdem.errors import OverlapError
 from fdem.kernels import facets as face_kernels
 from fdem.kernels import particles as kernels
@@ -20,6 +21,7 @@ __all__ = ["SphereContacts"]
 Array = NDArray[np.float64]
 
 SKIN = 0.1  # of the radius: pairs are looked for that much further, and again when half of it is used up
+GROWN = 1.1  # growth of stiffness, in squared frequency, after which the step is found again
 FAST = 0.25  # of the radius: motion in a step from which on a sphere could pass something
 
 
@@ -41,6 +43,8 @@ class SphereContacts:
         Which blocks can move.
     inverse_mass : (n_blocks,) array
         0 where it cannot move [1/kg].
+    gravity : float
+        [m/s^2].
     names : sequence of str
         Block names for messages.
 
@@ -65,22 +69,26 @@ class SphereContacts:
         assign: Callable[..., Any],
         mobile: Any,
         inverse_mass: Array,
+        gravity: float,
         names: Sequence[str],
     ) -> None:
         self.particles, self.facets, self.table, self.assign = particles, facets, table, assign
         self.mobile, self.names = np.asarray(mobile, dtype=bool), names
         self.n_blocks = len(self.mobile)
         n = len(particles)
+        self.inverse_mass, self.gravity = inverse_mass, gravity
         self._inverse_mass = np.ascontiguousarray(inverse_mass[particles.block])
+        self.hardest = table.hardest(slice(0, n))
         self._moves = np.ascontiguousarray(self.mobile[particles.block])
         self.allowed = 0.5 * SKIN * particles.radius
         self._pad = float(np.median(self.allowed)) if n else 0.0
         self.turn = np.zeros((n, 3))
         self.work = np.zeros(2)
         self.n_detections = 0
-        self.stiffest = 0.0  # largest sum of contact stiffness over mass of a sphere in the last forces [1/s^2]
+        # largest sum of stiffness over mass of a sphere: in the last forces, and when the step was found [1/s^2]
+        self.stiffest, self._known = 0.0, 0.0
         self._trial = False
-        self._recording = False
+        self._dt = 0.0
         self.order = np.zeros(0, np.int64)
         self.start, self.partner = np.zeros(1, np.uint32), np.zeros(0, np.uint32)
         self.memory, self.rule = np.zeros((0, 4)), np.zeros(0, np.int32)
@@ -105,11 +113,12 @@ class SphereContacts:
         near = (centres[order], reach[order], p.block[order], self._moves[order], level[order], cell[order])
         grid = kernels.tabulate(*near[4:])
         start, partner = kernels.near_pairs(*near, *grid)
-        before, at_old = self._shear_energy(), self._places()[order]
+        before, at_old = self._shear_energy(), self._earlier(order)
         memory, source = np.zeros((len(partner), 4)), np.zeros(len(partner), np.int64)
         kernels.carry_pairs(self.start, self.partner, self.memory, at_old, start, partner, memory, source)
         rule = np.where(source >= 0, self.rule[source], -1) if len(self.rule) else np.full(len(partner), -1)
-        self.order, self.start, self.partner, self.memory, self.rule = order, start, partner, memory, rule
+        self.order, self.start, self.partner, self.memory = order, start, partner, memory
+        self.rule = rule.astype(np.int32)
         self._assign_pairs(x, np.flatnonzero(rule < 0))
         self._detect_faces(x, near, grid, origin, size, at_old)
         self.x_ref = centres
@@ -117,11 +126,15 @@ class SphereContacts:
         self._prepare(x)
         self.work[0] += before - self._shear_energy()
 
-    def _places(self) -> NDArray[np.int64]:
-        """Packed place of every particle; -1 before the first detection."""
-        place = np.full(len(self.particles), -1, np.int64)
+    def places(self) -> NDArray[np.int64]:
+        """Packed place of every particle."""
+        place = np.empty(len(self.order), np.int64)
         place[self.order] = np.arange(len(self.order))
         return place
+
+    def _earlier(self, order: Any) -> NDArray[np.int64]:
+        """Place in the list that is there of the particles in `order`; -1: not in it."""
+        return self.places()[order] if len(self.order) else np.full(len(order), -1, np.int64)
 
     def _assign_pairs(self, x: Array, rows: Any) -> None:
         """Rules of the pairs in `rows`."""
@@ -179,7 +192,7 @@ class SphereContacts:
         )
         self.kind, faces.kind = kinds[: len(first)].copy(), kinds[len(first) :].copy()
         self._memory = np.zeros_like(self.memory)
-        self.record = np.zeros((0, 4))
+        self._no_record = np.zeros((0, 4))
         self.place, self.motion = np.zeros((n, 4)), np.zeros((n, 8))
         self.place[:, :3], self.place[:, 3] = x[p.gp[self.order]], p.radius[self.order]
         self.force = np.zeros((n, 8))
@@ -188,8 +201,35 @@ class SphereContacts:
             faces.prepare(self.facets, x)
         self._trial = False
 
+    def take_over(self, old: SphereContacts, number: Any, block: Any, x: Array) -> None:
+        """Go on from the history of `old`.
+
+        Parameters
+        ----------
+        old : SphereContacts
+            Of another model.
+        number, block : int arrays
+            New number of every old particle and block, -1: gone.
+        x : (n_gp, 3) array
+            Positions now [m].
+        """
+        there = np.full(len(self.particles), -1, np.int64)
+        there[number[number >= 0]] = np.flatnonzero(number >= 0)
+        self.detect(x)
+        at_old = np.where(there[self.order] >= 0, old.places()[there[self.order]], -1)
+        source = np.zeros(len(self.partner), np.int64)
+        kernels.carry_pairs(
+            old.start, old.partner, old.memory, at_old, self.start, self.partner, self.memory, source
+        )  # fmt: skip
+        self.faces.inherit(old.faces, at_old, self.n_blocks, block)
+        self.turn[number[number >= 0]] = old.turn[number >= 0]
+        self.work[:] = old.work
+        self.stiffest, self._known = old.stiffest, old._known
+
     def update(self, x: Array, x_old: Array, v: Array, dt: float) -> bool:
-        """Follow a step of `dt` [s] with the velocities `v`, and look for pairs again if due; True if it was.
+        """Follow a step of `dt` [s] with the velocities `v`, and look for pairs again if due.
+
+        Returns True if they were, or if contacts are stiffer than `springs` knew.
 
         Raises
         ------
@@ -203,7 +243,7 @@ class SphereContacts:
         if not due and self.facets is not None:
             due = kernels.strayed(self.facets.moving_gp, x, self.face_ref, self._pad)
         if not due:
-            return False
+            return self.stiffest > self._known
         moved = np.linalg.norm(x[p.gp] - x_old[p.gp], axis=1) if fast > FAST else None
         self.detect(x, moved)
         if moved is not None:
@@ -252,13 +292,10 @@ class SphereContacts:
         OverlapError
             Two spheres overlap by more than half the smaller radius, or a sphere a face by half of it; names them.
         """
-        p, faces = self.particles, self.faces
+        p, faces, self._dt = self.particles, self.faces, dt
         kernels.pack(self.order, p.gp, x, x_old, self.turn, self.place, self.motion)
-        self.out[:], self._face_out[:] = 0.0, 0.0
-        spheres.pair_forces(
-            self.place, self.motion, self.start, self.partner, self.kind, self.table.rows, self.memory, self._memory,
-            dt, self.force, self.record, self.out,
-        )  # fmt: skip
+        self._pair_forces(self._no_record)
+        self._face_out[:] = 0.0
         if len(faces.at):
             faces.touch(self.place, self.motion, x, x_old)
             spheres.face_forces(
@@ -270,6 +307,24 @@ class SphereContacts:
         self._trial = True
         if self.out[3] > 0.0 or self._face_out[3] > 0.0:
             raise OverlapError(self._too_deep())
+
+    def _pair_forces(self, record: Array) -> None:
+        self.out[:] = 0.0
+        spheres.pair_forces(
+            self.place, self.motion, self.start, self.partner, self.kind, self.table.rows, self.memory, self._memory,
+            self._dt, self.force, record, self.out,
+        )  # fmt: skip
+
+    def recorded(self) -> Array:
+        """Normal force and shear force on the second sphere (n_pairs, 4) [N] of the last forces."""
+        record = np.zeros((len(self.partner), 4))
+        if self._trial:
+            self._pair_forces(record)
+        return record
+
+    def trial_roots(self) -> Array:
+        """Positive for pairs (n_pairs,) that touch in the last forces."""
+        return self._memory[:, 3] if self._trial else self.memory[:, 3]
 
     def _too_deep(self) -> str:
         p = self.particles
@@ -301,6 +356,19 @@ class SphereContacts:
             work[0] += self.faces.lost[0]
         return work
 
+    # ------------------------------------------------------------------ stiffness
+
+    def springs(self, x: Array, xdot: Array) -> ParticleSprings:
+        """Springs of all contacts, present and to come, for the velocities `xdot` (n_gp, 3) [m/s]."""
+        springs = springs_of(self, x, xdot)
+        self._known = GROWN * max(self.stiffest, springs.stiffest(self._inverse_mass))
+        return springs
+
+    def stiffened(self, xdot: Array) -> bool:
+        """Whether the contacts are stiffer than `springs` last knew, or much softer."""
+        now = max(self.stiffest, float((alone(self, xdot) * self._inverse_mass).max(initial=0.0)))
+        return now > self._known or now < 0.2 * self._known
+
     # ------------------------------------------------------------------ energy
 
     def _shear_energy(self) -> float:
@@ -315,13 +383,13 @@ class SphereContacts:
         """Stored energy, friction and damping work [J] of the last forces, committed or not."""
         work = self.work + self._trial_work() if self._trial else self.work
         memory = self._memory if self._trial else self.memory
-        energy = sum(spheres.stored(self._overlaps(), self.kind, self.table.rows, memory))
+        energy = sum(spheres.stored(self.overlaps(), self.kind, self.table.rows, memory))
         if len(self.faces.at):
             held = self.faces.trial if self._trial else self.faces.memory
             energy += sum(spheres.stored(self.faces.geometry[:, 3], self.faces.slot_kind, self.table.rows, held))
         return float(energy), float(work[0]), float(work[1])
 
-    def _overlaps(self) -> Array:
+    def overlaps(self) -> Array:
         """Overlap of all pairs in the positions of the last forces (m,) [m]."""
         first = np.repeat(np.arange(len(self.order)), self.counts())
         a, b = self.place[first], self.place[self.partner]

@@ -177,7 +177,7 @@ def _turned(f, ref, x, x_old, nx, ny, nz):
 @kernel
 def touch(
     at, start, face, face_kind, slot_start, place, motion, ref, corner_start, corner_x, normal, x, x_old, memory_old,
-    active, geometry, kind, source, where, weight, out,
+    active, geometry, kind, source, candidate, weight, out,
 ):  # fmt: skip
     """Contacts of spheres with faces, and what they go on from.
 
@@ -193,7 +193,7 @@ def touch(
     active             (k,) uint8    out
     geometry           (k, 9)        out, see `face_forces`
     kind, source       (k,)          out: row of `table`; row of history, -1: new
-    where, weight      (k,), (k, 3)  out: face, weights of its reference gridpoints at the contact
+    candidate, weight  (k,), (k, 3)  out: candidate; weights of the reference gridpoints of its face at the contact
     out                (1,)          energy of shear springs that are no more [J], added to
     =================  ============  ==========================================================================
     """
@@ -213,7 +213,7 @@ def touch(
         for j in range(count):
             k, q = first + j, found[chosen[j]]
             f = face[q]
-            active[k], kind[k], where[k] = 1, face_kind[q], f
+            active[k], kind[k], candidate[k] = 1, face_kind[q], q
             nx, ny, nz = direction[j, 0], direction[j, 1], direction[j, 2]
             arm = math.sqrt(away[chosen[j]])
             _weights(f, ref, x, point[chosen[j]], weight[k])
@@ -253,12 +253,13 @@ def _go_on(first, last, count, direction, memory_old, source, out):
 
 
 @kernel
-def spread(active, where, weight, ref, push, f_gp):
-    """Add forces on faces [N] to their gridpoints."""
+def spread(active, candidate, weight, face, ref, push, f_gp):
+    """Add forces on faces [N] to their gridpoints (arguments: `touch`; `push` (k, 3) [N], `f_gp` (n_gp, 3) [N])."""
     for k in range(len(active)):
         if active[k]:
+            f = face[candidate[k]]
             for c in range(3):
-                g = ref[where[k], c]
+                g = ref[f, c]
                 for d in range(3):
                     f_gp[g, d] += weight[k, c] * push[k, d]
 
