@@ -67,8 +67,8 @@ class FaceContacts:
         Joint rule of each candidate.
     slot_start : (n + 1,) int64
         Rows of a group.
-    memory : (n_rows, 8)
-        Committed history (kernels/spheres.py).
+    memory, held : (n_rows, 8), (n_rows, 6) or (0, 6)
+        Committed history of the springs (kernels/spheres.py) and of the couples (kernels/couples.py), if there are any.
     """
 
     at: NDArray[np.int64]
@@ -79,10 +79,11 @@ class FaceContacts:
     rule: NDArray[np.int32]
     slot_start: NDArray[np.int64]
     memory: Array
+    held: Array
     kind: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))
 
     @classmethod
-    def group(cls, who: Any, which: Any, face_block: Any) -> FaceContacts:
+    def group(cls, who: Any, which: Any, face_block: Any, couples: bool) -> FaceContacts:
         """Groups from candidates: packed place of the sphere and face (m,) each, in any order."""
         n_faces = max(len(face_block), 1)
         key = np.sort(np.asarray(who, dtype=np.int64) * n_faces + which)
@@ -96,7 +97,7 @@ class FaceContacts:
         slots = np.concatenate([[0], np.cumsum(np.minimum(np.diff(start), SLOTS))])
         return cls(
             at[first], block[first], start, face.ravel(), used, np.zeros(len(key), np.int32), slots,
-            np.zeros((int(slots[-1]), 8)),
+            np.zeros((int(slots[-1]), 8)), np.zeros((int(slots[-1]) if couples else 0, 6)),
         )  # fmt: skip
 
     def prepare(self, facets: Facets, x: Array) -> None:
@@ -109,11 +110,13 @@ class FaceContacts:
         rows = np.arange(int(self.corner_start[-1])) + np.repeat(lo - self.corner_start[:-1], hi - lo)
         self.corner_w = np.ascontiguousarray(s.corner_w[rows])
         self.corner_x, self.normal = np.zeros((len(rows), 3)), np.zeros((len(self.used), 3))
-        self.moves = bool(facets.mobile[self.used].any())
+        self.mobile = np.ascontiguousarray(facets.mobile[self.used])
+        self.moves = bool(self.mobile.any())
         self.slot_at = np.repeat(self.at, np.diff(self.slot_start))
-        self.trial = np.zeros_like(self.memory)
+        self.trial, self.trial_held = np.zeros_like(self.memory), np.zeros_like(self.held)
+        self.couple = np.zeros((len(self.held), 3))
         self.active, self.source = np.zeros(n, np.uint8), np.full(n, -1, np.int64)
-        self.geometry, self.push, self.record = np.zeros((n, 9)), np.zeros((n, 3)), np.zeros((n, 4))
+        self.geometry, self.push, self.record = np.zeros((n, 12)), np.zeros((n, 3)), np.zeros((n, 4))
         self.slot_kind, self.candidate = np.zeros(n, np.uint32), np.zeros(n, np.int64)
         self.weight = np.zeros((n, 3))
         self.lost = np.zeros(1)
@@ -129,9 +132,9 @@ class FaceContacts:
             self.put(x)
         self.lost[0] = 0.0
         kernels.touch(
-            self.at, self.start, self.face, self.kind, self.slot_start, place, motion, self.ref, self.corner_start,
-            self.corner_x, self.normal, x, x_old, self.memory, self.active, self.geometry, self.slot_kind, self.source,
-            self.candidate, self.weight, self.lost,
+            self.at, self.start, self.face, self.kind, self.slot_start, place, motion, self.ref, self.mobile,
+            self.corner_start, self.corner_x, self.normal, x, x_old, self.memory, self.active, self.geometry,
+            self.slot_kind, self.source, self.candidate, self.weight, self.lost,
         )  # fmt: skip
 
     def inherit(self, old: FaceContacts, at_old: Any, n_blocks: int, block: Any = None) -> None:
@@ -157,6 +160,8 @@ class FaceContacts:
             target, source = self.slot_start[here] + k, old.slot_start[there] + k
             both = (target < self.slot_start[here + 1]) & (source < old.slot_start[there + 1])
             self.memory[target[both]] = old.memory[source[both]]
+            if len(self.held) and len(old.held):
+                self.held[target[both]] = old.held[source[both]]
 
     def spread(self, f_gp: Array) -> None:
         """Add the forces on faces to their gridpoints [N]."""

@@ -19,7 +19,8 @@ __all__ = ["adopt", "forces_between", "notes", "restore", "sphere_table", "state
 
 Array = NDArray[np.float64]
 
-GROUPED = ("at", "block", "start", "face", "used", "rule", "slot_start", "memory")
+STATE = ("order", "start", "partner", "memory", "held", "rule", "x_ref", "turn", "work")
+GROUPED = ("at", "block", "start", "face", "used", "rule", "slot_start", "memory", "held")
 
 
 def _touching(c: SphereContacts) -> dict[str, Any]:
@@ -110,8 +111,7 @@ def forces_between(c: SphereContacts, chosen: Any, f_gp: Array) -> None:
 
 def state_arrays(c: SphereContacts) -> dict[str, Array]:
     """Everything that influences the next step, as copies."""
-    names = ("order", "start", "partner", "memory", "rule", "x_ref", "turn", "work")
-    out = {name: getattr(c, name).copy() for name in names}
+    out = {name: getattr(c, name).copy() for name in STATE}
     out |= {f"face_{name}": getattr(c.faces, name).copy() for name in GROUPED}
     if c.facets is not None:
         out["face_ref"] = c.face_ref.copy()
@@ -130,7 +130,7 @@ def restore(c: SphereContacts, arrays: dict[str, Any], x: Array) -> None:
     try:
         if arrays["order"].shape != c.order.shape:
             raise CheckpointError("contacts of spheres: the saved state belongs to another model")
-        for name in ("order", "start", "partner", "memory", "rule", "x_ref", "turn", "work"):
+        for name in STATE:
             setattr(c, name, np.array(arrays[name]))
         c.faces = FaceContacts(*(np.array(arrays[f"face_{name}"]) for name in GROUPED))
         if c.facets is not None:

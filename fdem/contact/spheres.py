@@ -12,9 +12,9 @@ from fdem.contact.facets import FaceContacts, Facets
 from fdem.contact.particles import Particles, SphereTable
 from fdem.contact.sphere_springs import ParticleSprings, alone, springs_of
 from fdem.errors import OverlapError
+from fdem.kernels import couples, spheres
 from fdem.kernels import facets as face_kernels
 from fdem.kernels import particles as kernels
-from fdem.kernels import spheres
 
 __all__ = ["SphereContacts"]
 
@@ -91,8 +91,9 @@ class SphereContacts:
         self._dt = 0.0
         self.order = np.zeros(0, np.int64)
         self.start, self.partner = np.zeros(1, np.uint32), np.zeros(0, np.uint32)
-        self.memory, self.rule = np.zeros((0, 4)), np.zeros(0, np.int32)
-        self.faces = FaceContacts.group(np.zeros(0, int), np.zeros(0, int), np.zeros(1, np.int32))
+        self._couples = any(law.rolling > 0.0 or law.twisting > 0.0 for law in table.laws)
+        self.memory, self.held, self.rule = np.zeros((0, 4)), np.zeros((0, 6)), np.zeros(0, np.int32)
+        self.faces = FaceContacts.group(np.zeros(0, int), np.zeros(0, int), np.zeros(1, np.int32), self._couples)
         self.detect(x)
 
     # ------------------------------------------------------------------ detection
@@ -116,8 +117,11 @@ class SphereContacts:
         before, at_old = self._shear_energy(), self._earlier(order)
         memory, source = np.zeros((len(partner), 4)), np.zeros(len(partner), np.int64)
         kernels.carry_pairs(self.start, self.partner, self.memory, at_old, start, partner, memory, source)
+        held = np.zeros((len(partner) if self._couples else 0, 6))
+        if self._couples:
+            kernels.carry_pairs(self.start, self.partner, self.held, at_old, start, partner, held, source)
         rule = np.where(source >= 0, self.rule[source], -1) if len(self.rule) else np.full(len(partner), -1)
-        self.order, self.start, self.partner, self.memory = order, start, partner, memory
+        self.order, self.start, self.partner, self.memory, self.held = order, start, partner, memory, held
         self.rule = rule.astype(np.int32)
         self._assign_pairs(x, np.flatnonzero(rule < 0))
         self._detect_faces(x, near, grid, origin, size, at_old)
@@ -166,7 +170,7 @@ class SphereContacts:
         who, which = kernels.near_faces(
             f.lower, f.upper, f.point, f.normal, self._pad, f.block, f.mobile, *near, *grid, origin, size
         )
-        old, faces = self.faces, FaceContacts.group(who, which, f.block)
+        old, faces = self.faces, FaceContacts.group(who, which, f.block, self._couples)
         faces.inherit(old, at_old, self.n_blocks)
         if len(faces.face):
             at = np.repeat(faces.at, np.diff(faces.start))
@@ -191,12 +195,13 @@ class SphereContacts:
             np.concatenate([second, n + np.repeat(faces.block, np.diff(faces.start))]),
         )
         self.kind, faces.kind = kinds[: len(first)].copy(), kinds[len(first) :].copy()
-        self._memory = np.zeros_like(self.memory)
-        self._no_record = np.zeros((0, 4))
+        self._memory, self._held = np.zeros_like(self.memory), np.zeros_like(self.held)
+        # couples need the normal forces
+        self._record = np.zeros((len(self.held), 4))
         self.place, self.motion = np.zeros((n, 4)), np.zeros((n, 8))
         self.place[:, :3], self.place[:, 3] = x[p.gp[self.order]], p.radius[self.order]
         self.force = np.zeros((n, 8))
-        self.out, self._face_out = np.zeros(4), np.zeros(4)
+        self.out, self._face_out, self._couple_out = np.zeros(4), np.zeros(4), np.zeros(1)
         if self.facets is not None:
             faces.prepare(self.facets, x)
         self._trial = False
@@ -221,6 +226,10 @@ class SphereContacts:
         kernels.carry_pairs(
             old.start, old.partner, old.memory, at_old, self.start, self.partner, self.memory, source
         )  # fmt: skip
+        if self._couples and len(old.held):
+            kernels.carry_pairs(
+                old.start, old.partner, old.held, at_old, self.start, self.partner, self.held, source
+            )  # fmt: skip
         self.faces.inherit(old.faces, at_old, self.n_blocks, block)
         self.turn[number[number >= 0]] = old.turn[number >= 0]
         self.work[:] = old.work
@@ -294,8 +303,8 @@ class SphereContacts:
         """
         p, faces, self._dt = self.particles, self.faces, dt
         kernels.pack(self.order, p.gp, x, x_old, self.turn, self.place, self.motion)
-        self._pair_forces(self._no_record)
-        self._face_out[:] = 0.0
+        self._pair_forces(self._record)
+        self._face_out[:], self._couple_out[0] = 0.0, 0.0
         if len(faces.at):
             faces.touch(self.place, self.motion, x, x_old)
             spheres.face_forces(
@@ -303,10 +312,29 @@ class SphereContacts:
                 faces.source, faces.trial, dt, self.force, faces.push, faces.record, self._face_out,
             )  # fmt: skip
             faces.spread(f_gp)
+        if self._couples:
+            self._add_couples(x, f_gp)
         self.stiffest = kernels.unpack(self.order, p.gp, p.spin, self._inverse_mass, self.force, f_gp, f)
         self._trial = True
         if self.out[3] > 0.0 or self._face_out[3] > 0.0:
             raise OverlapError(self._too_deep())
+
+    def _add_couples(self, x: Array, f_gp: Array) -> None:
+        """Rolling and twisting resistance; after the forces, whose normal forces limit it."""
+        faces = self.faces
+        couples.pair_couples(
+            self.place, self.motion, self.start, self.partner, self.kind, self.table.rows, self.memory, self._memory,
+            self._record, self.held, self._held, self.force, self._couple_out,
+        )  # fmt: skip
+        if len(faces.at):
+            couples.face_couples(
+                faces.slot_at, faces.active, faces.geometry, faces.slot_kind, self.table.rows, faces.memory,
+                faces.source, faces.trial, faces.record, faces.held, faces.trial_held, self.force, faces.couple,
+                self._couple_out,
+            )  # fmt: skip
+            couples.spread_couples(
+                faces.active, faces.candidate, faces.face, faces.ref, faces.couple, x, f_gp
+            )  # fmt: skip
 
     def _pair_forces(self, record: Array) -> None:
         self.out[:] = 0.0
@@ -347,11 +375,14 @@ class SphereContacts:
             return
         self.work += self._trial_work()
         self.memory, self._memory = self._memory, self.memory
+        self.held, self._held = self._held, self.held
         self.faces.memory, self.faces.trial = self.faces.trial, self.faces.memory
+        self.faces.held, self.faces.trial_held = self.faces.trial_held, self.faces.held
         self._trial = False
 
     def _trial_work(self) -> Array:
         work: Array = self.out[:2] + self._face_out[:2]
+        work[0] += self._couple_out[0]
         if len(self.faces.at):
             work[0] += self.faces.lost[0]
         return work
@@ -372,21 +403,25 @@ class SphereContacts:
     # ------------------------------------------------------------------ energy
 
     def _shear_energy(self) -> float:
-        """Energy of all shear springs in the committed history [J]."""
+        """Energy of all shear, rolling and twisting springs in the committed history [J]."""
         if not len(self.memory) and not len(self.faces.memory):
             return 0.0
         energy = float(spheres.stored(np.zeros(len(self.kind)), self.kind, self.table.rows, self.memory)[1])
         m = self.faces.memory
-        return energy + 0.5 * float((m[:, 7] * m[:, 3] * (m[:, :3] ** 2).sum(axis=1)).sum())
+        energy += 0.5 * float((m[:, 7] * m[:, 3] * (m[:, :3] ** 2).sum(axis=1)).sum())
+        return energy + couples.stored_couples(self.memory, self.held) + couples.stored_couples(m, self.faces.held)
 
     def present(self) -> tuple[float, float, float]:
         """Stored energy, friction and damping work [J] of the last forces, committed or not."""
-        work = self.work + self._trial_work() if self._trial else self.work
-        memory = self._memory if self._trial else self.memory
+        f, trial = self.faces, self._trial
+        work = self.work + self._trial_work() if trial else self.work
+        memory, held = (self._memory, self._held) if trial else (self.memory, self.held)
         energy = sum(spheres.stored(self.overlaps(), self.kind, self.table.rows, memory))
-        if len(self.faces.at):
-            held = self.faces.trial if self._trial else self.faces.memory
-            energy += sum(spheres.stored(self.faces.geometry[:, 3], self.faces.slot_kind, self.table.rows, held))
+        energy += couples.stored_couples(memory, held)
+        if len(f.at):
+            memory, held = (f.trial, f.trial_held) if trial else (f.memory, f.held)
+            energy += sum(spheres.stored(f.geometry[:, 3], f.slot_kind, self.table.rows, memory))
+            energy += couples.stored_couples(memory, held)
         return float(energy), float(work[0]), float(work[1])
 
     def overlaps(self) -> Array:

@@ -165,19 +165,33 @@ def _weights(f, ref, x, point, w):
 
 
 @kernel
-def _turned(f, ref, x, x_old, nx, ny, nz):
-    """Rotation of a face about (nx, ny, nz) since the last commit [rad]."""
-    a, b = ref[f, 0], ref[f, 1]
-    ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
-    vx, vy, vz = ux - (x_old[b, 0] - x_old[a, 0]), uy - (x_old[b, 1] - x_old[a, 1]), uz - (x_old[b, 2] - x_old[a, 2])
-    across = (uy * vz - uz * vy) * nx + (uz * vx - ux * vz) * ny + (ux * vy - uy * vx) * nz
-    return across / (ux * ux + uy * uy + uz * uz)
+def _rotation(f, ref, x, x_old, out):
+    """Rotation vector of a face since the last commit [rad], into `out` (3,)."""
+    a, b, c = ref[f, 0], ref[f, 1], ref[f, 2]
+    u, v, du, dv, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for d in range(3):
+        u[d], v[d] = x[b, d] - x[a, d], x[c, d] - x[a, d]
+        du[d], dv[d] = u[d] - (x_old[b, d] - x_old[a, d]), v[d] - (x_old[c, d] - x_old[a, d])
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        n[i] = u[j] * v[k] - u[k] * v[j]
+    area = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
+    up, vp, about, uu = 0.0, 0.0, 0.0, 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        up += du[i] * n[i]
+        vp += dv[i] * n[i]
+        about += n[i] * (u[j] * du[k] - u[k] * du[j])
+        uu += u[i] * u[i]
+    # with the normal m = n / |n|: du.m = w.(u x m), dv.m = w.(v x m), so w = (u (dv.m) - v (du.m)) / |n| + about m
+    for d in range(3):
+        out[d] = (u[d] * vp - v[d] * up) / area + about * n[d] / (area * uu)
 
 
 @kernel
 def touch(
-    at, start, face, face_kind, slot_start, place, motion, ref, corner_start, corner_x, normal, x, x_old, memory_old,
-    active, geometry, kind, source, candidate, weight, out,
+    at, start, face, face_kind, slot_start, place, motion, ref, moves, corner_start, corner_x, normal, x, x_old,
+    memory_old, active, geometry, kind, source, candidate, weight, out,
 ):  # fmt: skip
     """Contacts of spheres with faces, and what they go on from.
 
@@ -188,10 +202,11 @@ def touch(
     slot_start         (n + 1,)      rows of a group's contacts
     place, motion                    packed spheres (kernels/spheres.py)
     ref, corner_start, corner_x, normal  faces
+    moves              (n_faces,)    whether a face can move
     x, x_old           (n_gp, 3)     positions now and at the last commit [m]
     memory_old         (k, 8)        committed history of the rows: s [m], r, normal, k_t
     active             (k,) uint8    out
-    geometry           (k, 9)        out, see `face_forces`
+    geometry           (k, 12)       out, see `face_forces`; rotation of the sphere against the face in 9-11 [rad]
     kind, source       (k,)          out: row of `table`; row of history, -1: new
     candidate, weight  (k,), (k, 3)  out: candidate; weights of the reference gridpoints of its face at the contact
     out                (1,)          energy of shear springs that are no more [J], added to
@@ -222,11 +237,16 @@ def touch(
             geometry[k, 4] = motion[a, 0] + arm * (oy * nz - oz * ny)
             geometry[k, 5] = motion[a, 1] + arm * (oz * nx - ox * nz)
             geometry[k, 6] = motion[a, 2] + arm * (ox * ny - oy * nx)
-            for c in range(3):
+            for c in range(3 if moves[f] else 0):
                 for d in range(3):
                     geometry[k, 4 + d] -= weight[k, c] * (x[ref[f, c], d] - x_old[ref[f, c], d])
-            geometry[k, 7] = 0.5 * (ox * nx + oy * ny + oz * nz + _turned(f, ref, x, x_old, nx, ny, nz))
+            if moves[f]:
+                _rotation(f, ref, x, x_old, spot)
+            else:
+                spot[0] = spot[1] = spot[2] = 0.0
+            geometry[k, 7] = 0.5 * ((ox + spot[0]) * nx + (oy + spot[1]) * ny + (oz + spot[2]) * nz)
             geometry[k, 8] = arm
+            geometry[k, 9], geometry[k, 10], geometry[k, 11] = ox - spot[0], oy - spot[1], oz - spot[2]
         _go_on(first, last, count, direction, memory_old, source, out)
 
 

@@ -232,8 +232,8 @@ def face_forces(
     ============  ==========  ==========================================================================
     at            (m,)        packed place of the sphere
     active        (m,) uint8  0: open, its row is skipped
-    geometry      (m, 9)      normal from the sphere to the face, overlap [m], motion of the sphere against the face at
-                              the contact [m] (4-6), rotation about the normal [rad], arm [m]
+    geometry      (m, 12)     normal from the sphere to the face, overlap [m], motion of the sphere against the face at
+                              the contact [m] (4-6), rotation about the normal [rad], arm [m], not used here (9-11)
     kind, table               as for pairs
     memory_old    (m, 8)      committed history: s [m], r, normal (4-6), k_t
     source        (m,)        row of `memory_old` that a contact goes on from, -1: new
