@@ -29,7 +29,7 @@ _HOME = {
     ),
     "fdem.log": ("show_log",),
     "fdem._jit": ("kernel",),
-    "fdem.scene.bodies": ("Rigid", "Zoned"),
+    "fdem.scene.bodies": ("Rigid", "UniformStrain", "Zoned"),
     "fdem.scene.materials": ("Elastic",),
     "fdem.scene.joints": ("Bonded", "Coulomb", "Joint"),
     "fdem.scene.boundary": (
@@ -102,6 +102,7 @@ __all__ = [
     "Stress",
     "Support",
     "Traction",
+    "UniformStrain",
     "UnstableError",
     "UnsupportedError",
     "Velocity",

@@ -88,31 +88,24 @@ def carry(old: Carrier, sim: Simulation, *, motion: bool = True) -> None:
 
 
 def _carry_block(old: Carrier, sim: Simulation, before: int, after: int, motion: bool) -> None:
-    source, target = old.model.batch_row[before], sim.model.batch_row[after]
-    if source < 0 or target < 0 or old.model.zoned[before] != sim.model.zoned[after]:
+    source, target = old.model.batch_of(before), sim.model.batch_of(after)
+    if source is None or target is None or type(source) is not type(target):
         return
-    if not sim.model.zoned[after]:
-        sim.state.q[7 * target : 7 * target + 7] = old.state.q[7 * source : 7 * source + 7]
-        sim.system.q0[7 * target : 7 * target + 7] = old.system.q0[7 * source : 7 * source + 7]
-        sim.turned[target] = old.turned[source]
-        a, b = 6 * source, 6 * target
-        width = 6
-    else:
-        a = old.model.deformable.dofs.start + 3 * old.model.gp_range[before, 0]
-        b = sim.model.deformable.dofs.start + 3 * sim.model.gp_range[after, 0]
-        width = 3 * int(np.diff(sim.model.gp_range[after])[0])
-        c = old.model.deformable.coords.start + 3 * old.model.gp_range[before, 0]
-        d = sim.model.deformable.coords.start + 3 * sim.model.gp_range[after, 0]
-        sim.system.q0[d : d + width] = old.system.q0[c : c + width]
+    rows = int(old.model.batch_row[before]), int(sim.model.batch_row[after])
+    a, b = source.coords_of(rows[0]), target.coords_of(rows[1])
+    sim.state.q[b] = old.state.q[a]
+    sim.system.q0[b] = old.system.q0[a]
+    sim.turned[after] = old.turned[before]
     if not motion:
         return
-    sim.state.v[b : b + width] = old.state.v[a : a + width]
+    a, b = source.dofs_of(rows[0]), target.dofs_of(rows[1])
+    sim.state.v[b] = old.state.v[a]
     if old.system.elastic_old is not None:
         if sim.system.elastic_old is None:
             sim.system.elastic_old = np.zeros_like(sim.state.v)
-        sim.system.elastic_old[b : b + width] = old.system.elastic_old[a : a + width]
+        sim.system.elastic_old[b] = old.system.elastic_old[a]
     if old.system._reaction_old is not None and sim.system._reaction_old is not None:
-        sim.system._reaction_old[b : b + width] = old.system._reaction_old[a : a + width]
+        sim.system._reaction_old[b] = old.system._reaction_old[a]
 
 
 def transfer(source: Simulation, sim: Simulation) -> None:

@@ -101,10 +101,11 @@ class Simulation(Readout):
         self.compiled: Compiled = compile_scene(self.scene, self._removed, list(self._applied.values()), self._threads)
         self._make_system(self.compiled)
         self.x0, self.centroids0 = self.state.x.copy(), self.centroids()
-        self.turned = np.zeros((self._n_rigid, 3))
+        self.turned = np.zeros((self.model.n_blocks, 3))
 
     def _make_system(self, compiled: Compiled) -> None:
         self.model, self.state, self.drags = compiled.model, compiled.state, compiled.drags
+        self._turning = [batch for batch in compiled.model.batches if batch.turns]
         loads = compiled.loads + [Release(None, gp, forces, at, over) for gp, forces, at, over in self._releases]
         self.system = System(
             compiled.model,
@@ -146,8 +147,8 @@ class Simulation(Readout):
 
     def _step(self, dt: float) -> None:
         self.integrator.step(self.system, dt)
-        if self._n_rigid:
-            self.turned += dt * self.state.v[: 6 * self._n_rigid].reshape(-1, 6)[:, 3:]
+        for batch in self._turning:
+            self.turned[batch.rows] += batch.turn(self.state.q, self.state.v, self.system.dt)
 
     def _start_progress(self, n: int, end: float | None) -> Any:
         if self._progress is False:
@@ -163,11 +164,10 @@ class Simulation(Readout):
 
     def _check(self) -> None:
         self.system.check()
-        deformable = self.model.deformable
-        if deformable is not None and (inverted := deformable.first_inverted(self.state.x)) is not None:
-            block = self.model.names[int(np.flatnonzero(self.model.zoned)[inverted[0]])]
-            gp = int(deformable.nodes_of(*inverted)[0])
-            self.system.unstable(gp, f"zone {inverted[1]} of block {block!r} is turned inside out")
+        for batch in self.model.batches:
+            if (found := batch.inverted(self.state.q, self.state.x)) is not None:
+                block, gp, what = found
+                self.system.unstable(gp, f"block {self.model.names[block]!r}: {what} is turned inside out")
         if self.ledger is not None and not self.integrator.scaled:
             self._check_energy()
 
@@ -312,7 +312,7 @@ class Simulation(Readout):
             self._releases.append((number[gp][left], forces[left], at, over))
         self._make_system(compiled)
         self.x0, self.centroids0 = self.state.x.copy(), self.centroids()
-        self.turned = np.zeros((self._n_rigid, 3))
+        self.turned = np.zeros((self.model.n_blocks, 3))
         checkpoint.carry(old, self)
         self.integrator.start(self.system)
         if self.ledger is not None:

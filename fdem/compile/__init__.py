@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from fdem.compile.assembly import Layout, assemble, in_situ, lay_out
+from fdem.compile.assembly import assemble
+from fdem.compile.formulations import FORMULATIONS
 from fdem.compile.joints import JointTables
+from fdem.compile.layout import Layout, in_situ, lay_out
 from fdem.compile.loads import compile_loads
 from fdem.compile.select import Selector
 from fdem.compile.supports import compile_constraints
@@ -79,9 +81,6 @@ def compile_scene(scene: Scene, removed: frozenset[str], loads: list[Applied], t
     """
     layout = lay_out(scene, removed, loads)
     model, state = assemble(layout, threads)
-    for batch in model.batches:
-        batch.place(state.q, state.x)
-    state.x_old[:] = state.x
     select = Selector(layout, model)
     numeric, alpha, drags = compile_loads(select)
     constraints = compile_constraints(select)
@@ -149,13 +148,15 @@ def _behind(mesh: Any) -> np.ndarray:
 
 def _describe(layout: Layout, model: Model, contacts: Any, loads: list[Load]) -> None:
     """Notes on what this scene does not need."""
-    counts = {kind: len(layout.of_kind(kind)) for kind in ("zoned", "rigid", "static")}
-    model.notes.append(f"blocks: {counts['zoned']} zoned, {counts['rigid']} rigid or driven, {counts['static']} fixed")
-    if not counts["zoned"]:
-        model.notes.append("zones: left out, no block is deformable (gmsh and scikit-fem are not imported)")
-    if not counts["rigid"]:
-        model.notes.append("rigid blocks: left out")
-    if counts["static"]:
+    counts = {row.label: len(layout.of_kind(row.kind)) for row in reversed(FORMULATIONS)}
+    counts["fixed"] = len(layout.of_kind("static"))
+    model.notes.append("blocks: " + ", ".join(f"{n} {label}" for label, n in counts.items() if n))
+    if not layout.of_kind("zoned"):
+        model.notes.append("zones: left out, no block has any (gmsh and scikit-fem are not imported)")
+    absent = [row.label for row in FORMULATIONS if row.kind not in layout.kind]
+    if absent:
+        model.notes.append(f"blocks that are {' or '.join(absent)}: left out")
+    if counts["fixed"]:
         model.notes.append("fixed blocks: no unknowns; contacts between fixed blocks are never looked for")
     if not loads:
         model.notes.append("loads: left out, none is applied")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fdem.compile.assembly import Layout
+from fdem.compile.layout import Layout
 from fdem.compile.select import Selector
 from fdem.errors import FdemWarning, JointError
 from fdem.scene.joints import Joint
@@ -134,6 +134,9 @@ class JointTables:
                 edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
                 lam, mu = material.lame
                 soft.append(((lam + 2 * mu) / edge, material.poisson))
+            for i in layout.of_kind("uniform"):
+                lam, mu = layout.blocks[i].material.lame
+                soft.append(((lam + 2 * mu) / float(np.cbrt(layout.volume[i])), layout.blocks[i].material.poisson))
             if soft:
                 kn, poisson = min(soft)
             else:

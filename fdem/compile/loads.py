@@ -47,13 +47,11 @@ def compile_loads(select: Selector) -> tuple[list[numeric.Load], np.ndarray | No
 
 
 def _block_dofs(model: Model, block: int) -> np.ndarray:
-    row = model.batch_row[block]
-    if row < 0:
+    batch = model.batch_of(block)
+    if batch is None:
         return np.zeros(0, dtype=np.int64)
-    if model.zoned[block]:
-        start, stop = model.gp_range[block]
-        return np.arange(model.deformable.dofs.start + 3 * start, model.deformable.dofs.start + 3 * stop)
-    return np.arange(6 * row, 6 * row + 6)
+    own = batch.dofs_of(model.batch_row[block])
+    return np.arange(own.start, own.stop)
 
 
 def _force(select: Selector, applied: Applied) -> numeric.Load:
@@ -93,20 +91,15 @@ def _mass_shares(select: Selector, applied: Applied) -> tuple[np.ndarray, np.nda
 
 
 def _moment(select: Selector, applied: Applied) -> numeric.Load:
-    """Forces m (theta x r) on each block's gridpoints, whose moment about the centroid is the block's share."""
+    """Every block takes a share of the moment by its mass."""
     model, blocks = select.model, select.blocks(applied.target, "Moment")
     value = np.asarray(applied.load.value, dtype=float)
     mass = np.array([max(model.mass[b], np.finfo(float).tiny) for b in blocks])
-    gps, forces = [], []
+    parts = []
     for block, share in zip(blocks, mass / mass.sum(), strict=True):
-        gp = np.arange(*model.gp_range[block])
-        weight = model.gp_mass[gp] if model.zoned[block] else np.ones(len(gp))
-        arm = model.X[gp] - weight @ model.X[gp] / weight.sum()
-        inertia = (weight @ (arm * arm).sum(axis=1)) * np.eye(3) - np.einsum("n,ni,nj->ij", weight, arm, arm)
-        spin = np.linalg.solve(inertia, share * value)
-        gps.append(gp)
-        forces.append(weight[:, None] * np.cross(spin, arm))
-    return numeric.DeadLoad(applied, np.concatenate(gps), np.vstack(forces))
+        gp, massive = np.arange(*model.gp_range[block]), bool(model.zoned[block])
+        parts.append((gp, model.gp_mass[gp] if massive else np.ones(len(gp)), share * value, massive))
+    return numeric.Couple(applied, parts)
 
 
 def _traction(select: Selector, applied: Applied) -> numeric.Load:

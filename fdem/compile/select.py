@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fdem.compile.assembly import Layout
+from fdem.compile.layout import Layout
 from fdem.errors import SceneError
 from fdem.model import Model
 from fdem.scene.scene import Gridpoint, choose
@@ -93,11 +93,6 @@ class Selector:
         """Outward area vectors (n, 3) [m^2] of surface triangles."""
         a, b, c = (self.model.X[self.model.triangles[rows, k]] for k in range(3))
         return 0.5 * np.cross(b - a, c - a)
-
-    def dof_rows(self, gp: np.ndarray) -> np.ndarray:
-        """First velocity dof of zoned gridpoints."""
-        first = self.model.deformable.dofs.start
-        return first + 3 * gp
 
     def affine(self, block: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gridpoints and weights of a material point of `block` (exact for affine motion).

@@ -74,8 +74,8 @@ class System:
         self._first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
         self._keeps_old = contacts is not None or self._load_old is not None
         self.weight = self._weight()
+        self.weigh()
         self._terms = self._choose_terms()
-        self._held = constraints.held() if constraints.moving else None
 
     def _choose_terms(self) -> tuple[Callable[[], None], ...]:
         """The force terms this scene needs, in order."""
@@ -88,7 +88,7 @@ class System:
                     terms.append(partial(batch.pull, state.q, state.f_gp, state.f))
         for batch in self.model.batches:
             if batch.has_internal:
-                terms.append(partial(batch.internal, state.x, state.f))
+                terms.append(partial(batch.internal, state.q, state.x, state.f))
         terms.append(self._keep_elastic)
         if self.loads:
             terms.append(self._add_loads)
@@ -133,8 +133,15 @@ class System:
         """Accelerations M^-1 f with the constrained part set to zero."""
         for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
             batch.accelerate(self.state.q, f, self.a, scaled)
-        self.constraints.release(self.a)
+        self.constraints.still(self.a)
         return self.a
+
+    def resist(self, share: float, f: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Forces that resist the motion `v`, a `share` of the forces `f` by components (n_dofs,)."""
+        result = np.empty_like(f)
+        for batch in self.model.batches:
+            batch.resist(self.state.q, f, v, share, result)
+        return result
 
     def prescribe(self, dt: float) -> None:
         """Give constrained velocities their values in the middle of the step of length `dt` [s]."""
@@ -160,16 +167,16 @@ class System:
         if self._load_old is not None and self.state.step > 0:
             moved = self.state.x - self.state.x_old
             work += 0.5 * float(np.vdot(self._load_old + self.f_load, moved))
-        if self._reaction_old is not None and self._held is not None and self.state.step > 0:
-            held = self._held
-            work -= 0.5 * self.dt * float((self._reaction_old + self.state.f)[held] @ self.state.v[held])
+        if self._reaction_old is not None and self.state.step > 0:
+            given = self.constraints.given(self.state.v)
+            work -= 0.5 * self.dt * float((self._reaction_old + self.state.f) @ given)
         return work
 
     def advance(self, dt: float) -> None:
         """Move the configuration by `dt` [s] with the present velocities; look for contacts if due."""
         state = self.state
-        for batch in self.model.batches:
-            batch.advance(state.q, state.v, dt)
+        for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
+            batch.advance(state.q, state.v, dt, scaled)
             batch.place(state.q, state.x)
         state.t += dt
         state.step += 1
@@ -189,8 +196,8 @@ class System:
         else:
             half = 0.5 * self.lag * self.rate
             v = ((1.0 - half) * self.state.v + self.lag * self.a) / (1.0 + half)
-        if self._held is not None:
-            v[self._held] = self.state.v[self._held]
+        if self.constraints.moving:
+            self.constraints.keep(v, self.state.v)
         return v
 
     def springs(self) -> Springs:
@@ -230,17 +237,13 @@ class System:
         return result
 
     def dashpot_rate(self) -> float:
-        """Bound of the decay rate 2 zeta omega [1/s] that dashpots on faces give a gridpoint."""
+        """Bound of the decay rate 2 zeta omega [1/s] that dashpots on faces give a gridpoint or a block."""
         rate = 0.0
         for load in self.loads:
             if isinstance(load, Dashpot):
-                strength = np.linalg.norm(load.matrices, 2, axis=(1, 2))
-                movable = self.model.gp_mass[load.gp] > 0
-                # the gridpoints of a block that moves as a whole share its mass; 4 covers its rotation
-                owner = self.model.gp_block[load.gp]
-                per_block = np.bincount(owner, strength, self.model.n_blocks)
-                lumped = np.where(load.gp < self._first_pulled, strength, 4.0 * per_block[owner])
-                rate = max(rate, float((lumped[movable] / self.model.gp_mass[load.gp][movable]).max(initial=0.0)))
+                strength = np.zeros(len(self.model.X))
+                strength[load.gp] = np.linalg.norm(load.matrices, 2, axis=(1, 2))
+                rate = max([rate, *(batch.decay_bound(self.state.q, strength) for batch in self.model.batches)])
         return rate
 
     @property
@@ -259,6 +262,14 @@ class System:
         self.fictitious = True
         springs = self.springs()
         self.scaled = [batch.scaled_masses(self.state.q, springs, swing) for batch in self.model.batches]
+        self.weigh()
+
+    def weigh(self) -> None:
+        """Tell conditions on blocks whose mass couples their unknowns what that mass is."""
+        for group in self.constraints.coupled:
+            batch, number = self.model.batch_of(group.block), self.model.batch_index[group.block]
+            row = int(self.model.batch_row[group.block])
+            group.weigh(batch.inverse_mass(row, self.state.q, self.scaled[number]))
 
     def scaled_kinetic(self, v: np.ndarray) -> float:
         """``v.M v`` with the fictitious masses."""
@@ -273,8 +284,8 @@ class System:
     def kinetic(self) -> float:
         """Kinetic energy [J] of what is free to move, at the time of the configuration."""
         v = self.velocity()
-        if self._held is not None:
-            v[self._held] = 0.0
+        if self.constraints.moving:
+            v -= self.constraints.given(v)
         return sum(batch.kinetic(self.state.q, v) for batch in self.model.batches)
 
     def ratio(self) -> float:
@@ -288,7 +299,9 @@ class System:
             pushes += np.linalg.norm(self.f_load, axis=1)
         gravity = float(np.linalg.norm(self.model.gravity))
         pairs = zip(self.model.batches, self.scaled, strict=True)
-        shares = [batch.unbalance(self.state.x, unbalanced, pushes, gravity, scaled) for batch, scaled in pairs]
+        shares = [
+            batch.unbalance(self.state.q, self.state.x, unbalanced, pushes, gravity, scaled) for batch, scaled in pairs
+        ]
         return max(shares, default=0.0)
 
     def check(self) -> None:
