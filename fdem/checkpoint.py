@@ -11,6 +11,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from fdem.contact import sphere_readout
 from fdem.contact.carry import adopt
 from fdem.errors import CheckpointError
 from fdem.model import Model
@@ -25,7 +26,7 @@ __all__ = ["Carrier", "carry", "read", "restore", "save", "transfer"]
 FORMAT = 1
 SCALARS = ("lag", "dt", "work", "damped", "omega")
 ARRAYS = ("q", "v", "x", "x_old")
-KEPT = ("elastic_old", "_load_old", "_reaction_old", "_k_used", "force_before")
+KEPT = ("elastic_old", "_load_old", "_reaction_old", "_turning_old", "_k_used", "force_before")
 
 
 class Carrier:
@@ -80,6 +81,8 @@ def carry(old: Carrier, sim: Simulation, *, motion: bool = True) -> None:
             sim.system._load_old[b] = old.system._load_old[a]
     if sim.system.contacts is not None and old.system.contacts is not None:
         adopt(sim.system.contacts, old.system.contacts, np.array(old.rows(model)), old.gridpoints(model), state.x)
+    if sim.system.particles is not None and old.system.particles is not None:
+        sphere_readout.adopt(sim.system.particles, old.system.particles, np.array(old.rows(model)), state.x)
     if motion:
         for name in SCALARS:
             setattr(sim.system, name, getattr(old.system, name))
@@ -134,6 +137,8 @@ def save(sim: Simulation, path: str | Path) -> None:
             arrays[f"scaled_{i}"] = scaled
     if system.contacts is not None:
         arrays |= {f"contacts_{key}": value for key, value in system.contacts.state_arrays().items()}
+    if system.particles is not None:
+        arrays |= {f"spheres_{key}": value for key, value in sphere_readout.state_arrays(system.particles).items()}
     for i, (gp, forces, _, _) in enumerate(sim._releases):
         arrays |= {f"release_gp_{i}": gp, f"release_f_{i}": forces}
     handles = list(sim._applied)
@@ -251,6 +256,9 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
     system.scaled = [saved.get(f"scaled_{i}") for i in range(len(system.scaled))]
     if system.contacts is not None:
         system.contacts.restore({k[len("contacts_") :]: v for k, v in saved.items() if k.startswith("contacts_")})
+    if system.particles is not None:
+        own = {k[len("spheres_") :]: v for k, v in saved.items() if k.startswith("spheres_")}
+        sphere_readout.restore(system.particles, own, state.x)
     for name in SCALARS:
         setattr(system, name, float.fromhex(head["scalars"][name]))
     state.t, state.step = float.fromhex(head["t"]), int(head["step"])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fdem.contact.carry import present, scatter_between
+from fdem.contact.sphere_readout import forces_between, sphere_table
 from fdem.errors import UnsupportedError
 from fdem.integrate.system import System
 from fdem.model import Model
@@ -147,16 +148,16 @@ class Readout:
 
     def contact_table(self) -> dict[str, Any]:
         """Contact points: blocks, joint, normal, gap, area, traction, force, slip, state, position."""
-        contacts = self.system.contacts
+        contacts, particles = self.system.contacts, self.system.particles
         self.forces()
-        if contacts is None:
-            empty: dict[str, Any] = {
-                name: np.zeros(0, dtype=np.int32) for name in ("block_a", "block_b", "joint", "state")
-            }
-            empty |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
-            empty |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
-            return empty | {"joint_names": self.model.joint_names}
-        table = dict(contacts.table(self.state.x))
+        table: dict[str, Any] = {name: np.zeros(0, dtype=np.int32) for name in ("block_a", "block_b", "joint", "state")}
+        table |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
+        table |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
+        if contacts is not None:
+            table = dict(contacts.table(self.state.x))
+        if particles is not None:
+            own = sphere_table(particles)
+            table = {name: np.concatenate([table[name], own[name]]) if name in own else table[name] for name in table}
         table["position"] = table["position"] + self.model.origin
         table["joint_names"] = self.model.joint_names
         return table
@@ -175,6 +176,9 @@ class Readout:
         if contacts is not None:
             self.forces()
             scatter_between(contacts, chosen, total)
+        if self.system.particles is not None:
+            self.forces()
+            forces_between(self.system.particles, chosen, total)
         total[chosen[self.model.gp_block]] = 0.0
         gp = np.flatnonzero(np.any(total != 0.0, axis=1))
         return gp, total[gp]
@@ -213,6 +217,9 @@ class Readout:
         self.forces()
         contacts = system.contacts
         joint, friction, damping = (0.0, 0.0, 0.0) if contacts is None else present(contacts)
+        if system.particles is not None:
+            own = system.particles.present()
+            joint, friction, damping = joint + own[0], friction + own[1], damping + own[2]
         return {
             "kinetic": float(system.kinetic()),
             "strain": float(sum(b.strain_energy(state.q, state.x) for b in model.batches)),

@@ -111,6 +111,7 @@ class Simulation(Readout):
             compiled.model,
             compiled.state,
             compiled.contacts,
+            compiled.particles,
             compiled.constraints,
             loads,
             compiled.alpha,

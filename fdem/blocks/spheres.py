@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fdem.blocks.bounds import Springs, share
-from fdem.errors import SceneError, UnsupportedError
+from fdem.errors import SceneError
 from fdem.kernels import spheres as kernels
 
 __all__ = ["SphereBlocks"]
@@ -18,7 +18,7 @@ class SphereBlocks:
     """All spheres of a model, one batch of the `Blocks` protocol.
 
     The configuration of a sphere is its centre, the gridpoint it has; its velocity that of the centre and the angular
-    velocity. No orientation is kept, for nothing depends on it: `rotation` raises an error.
+    velocity. No orientation is kept, for nothing depends on it.
 
     Parameters
     ----------
@@ -41,6 +41,7 @@ class SphereBlocks:
     turns = True
     has_strain = False
     coupled = False
+    oriented = False
 
     def __init__(
         self, centre: Array, radius: Array, mass: Array, dofs: slice, coords: slice, gridpoints: slice
@@ -91,9 +92,13 @@ class SphereBlocks:
         """Write the accelerations ``(F / m, T / I)`` into ``a`` [m/s^2, rad/s^2]; `scaled` as of `scaled_masses`."""
         kernels.ball_accelerate(self._v(f), self._inverse, self._unscaled if scaled is None else scaled, self._v(a))
 
-    def advance(self, q: Array, v: Array, dt: float) -> None:
+    def advance(self, q: Array, v: Array, dt: float, scaled: Array | None = None) -> None:
         """Move the centres by ``dt`` [s]; angular velocities are momenta and stay."""
         kernels.ball_advance(self._q(q), self._v(v), dt)
+
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
+        """Write local damping into `out`: a share of the force against every unknown's velocity."""
+        out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
 
     def kinetic(self, q: Array, v: Array) -> float:
         """Kinetic energy ``(m v.v + I omega.omega) / 2`` of the batch [J]."""
@@ -173,14 +178,8 @@ class SphereBlocks:
         return dt * self._v(v)[:, 3:]
 
     def rotation(self, q: Array, x: Array | None = None) -> Array:
-        """No orientation is kept.
-
-        Raises
-        ------
-        UnsupportedError
-            Always; says how to ask for it.
-        """
-        raise UnsupportedError("rotation: spheres keep no orientation; Rigid(orientation=True) makes one keep it")
+        """Not a number, (n_blocks, 3, 3): no orientation is kept."""
+        return np.full((self.n_blocks, 3, 3), np.nan)
 
     def inertia(self, q: Array, x: Array | None = None) -> Array:
         """Inertia about the centres, (n_blocks, 3, 3) [kg m^2]."""

@@ -12,12 +12,12 @@ from fdem.errors import SceneError
 from fdem.scene.boundary import Stress, Velocity
 from fdem.scene.moments import MassProperties, mass_properties
 from fdem.scene.scene import Applied, Block, Gridpoint, Scene, choose, surface_of
-from fdem.scene.shapes import Surface
+from fdem.scene.shapes import Balls, Sphere, Surface
 
 __all__ = ["Layout", "in_situ", "lay_out"]
 
 # order of gridpoints: those that are unknowns first, in memory that x and q share
-NUMBERED = ("zoned", "rigid", "uniform", "static")
+NUMBERED = ("zoned", "rigid", "uniform", "sphere", "static")
 
 
 @dataclass
@@ -29,7 +29,7 @@ class Layout:
     blocks : list of Block
         Blocks in model order.
     kind : list of str
-        "rigid" (with its motion prescribed if the block is fixed), "uniform", "zoned" or "static".
+        "rigid" (with its motion prescribed if the block is fixed), "sphere", "uniform", "zoned" or "static".
     meshes : list
         Zone mesh of each zoned block, else None.
     loops, loop_tags : list
@@ -115,11 +115,11 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
     origin = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0))
     meshes = _zone_meshes(scene, blocks, kind)
     points, loops, loop_tags, triangles, triangle_tags = [], [], [], [], []
-    for block, mesh in zip(blocks, meshes, strict=True):
+    for block, mesh, moves in zip(blocks, meshes, kind, strict=True):
         surface = surface_of(block.shape)
         face_tags = list(surface.face_tags)
         if mesh is None:
-            points.append(np.asarray(surface.points) - origin)
+            points.append((_ball_points(surface, moves) if isinstance(surface, Balls) else surface.points) - origin)
             loops.append([np.asarray(face, dtype=np.int32) for face in surface.faces])
             loop_tags.append(face_tags)
             triangles.append(np.asarray(surface.triangles))
@@ -141,6 +141,14 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
     return Layout(
         scene, blocks, index, kind, meshes, origin, gp_range, points, loops, loop_tags, triangles, triangle_tags, loads
     )
+
+
+def _ball_points(shape: Balls, kind: str) -> np.ndarray:
+    """Gridpoints of spheres and clumps: centres; where they turn as a block also four points not in a plane."""
+    if kind != "rigid":
+        return shape.points
+    frame = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+    return np.concatenate([shape.points, shape.centroid + 0.25 * shape.size * frame])
 
 
 def _refuse_twins(blocks: list[Block], kind: list[str]) -> None:
@@ -169,10 +177,17 @@ def _kinds(scene: Scene, blocks: list[Block], loads: list[Applied]) -> list[str]
                 raise SceneError(f"block {block.name!r}: fix() holds it, but it has a velocity")
             kinds.append("static")
         elif block.fixed:
-            kinds.append("rigid" if moves else "static")
+            kinds.append(_moving_kind(block) if moves else "static")
         else:
-            kinds.append(block.body.kind)
+            kinds.append(_moving_kind(block))
     return kinds
+
+
+def _moving_kind(block: Block) -> str:
+    """Formulation of a block that moves."""
+    if isinstance(block.shape, Sphere) and not block.body.orientation:
+        return "sphere"
+    return "rigid" if block.fixed else str(block.body.kind)
 
 
 def _zone_meshes(scene: Scene, blocks: list[Block], kind: list[str]) -> list[Any]:

@@ -65,12 +65,6 @@ class ParticleSprings:
         both = np.flatnonzero(self.b >= 0)
         return np.concatenate([self.a, self.b[both]]), np.concatenate([np.arange(len(self.a)), both])
 
-    def stiffest(self, inverse_mass: Array) -> float:
-        """Largest sum of normal stiffness over mass of a particle [1/s^2]."""
-        particle, contact = self._sides()
-        total = np.bincount(particle, self.kn[contact], len(self.gp))
-        return float((np.maximum(total, self.alone) * inverse_mass).max(initial=0.0))
-
     def at_gridpoints(self, chosen: slice) -> tuple[Array, Array]:
         """Stiffness (n, 3, 3) of the particles of `chosen` gridpoints: translations [N/m], rotations [N m]."""
         n = chosen.stop - chosen.start

@@ -238,7 +238,7 @@ class SphereContacts:
     def update(self, x: Array, x_old: Array, v: Array, dt: float) -> bool:
         """Follow a step of `dt` [s] with the velocities `v`, and look for pairs again if due.
 
-        Returns True if they were, or if contacts are stiffer than `springs` knew.
+        Returns True if they were, or if contacts are stiffer than `stiffened` last knew.
 
         Raises
         ------
@@ -391,14 +391,19 @@ class SphereContacts:
 
     def springs(self, x: Array, xdot: Array) -> ParticleSprings:
         """Springs of all contacts, present and to come, for the velocities `xdot` (n_gp, 3) [m/s]."""
-        springs = springs_of(self, x, xdot)
-        self._known = GROWN * max(self.stiffest, springs.stiffest(self._inverse_mass))
-        return springs
+        return springs_of(self, x, xdot)
 
     def stiffened(self, xdot: Array) -> bool:
-        """Whether the contacts are stiffer than `springs` last knew, or much softer."""
+        """Whether contacts got stiffer since last asked, or much softer; also those to come at the velocities `xdot`."""
         now = max(self.stiffest, float((alone(self, xdot) * self._inverse_mass).max(initial=0.0)))
-        return now > self._known or now < 0.2 * self._known
+        if 0.2 * self._known <= now <= self._known:
+            return False
+        self._known = GROWN * now
+        return True
+
+    def add_pushes(self, pushes: Array) -> None:
+        """Add the sum of normal forces on every sphere to `pushes` (n_gp,) [N]: on its one gridpoint they cancel."""
+        pushes[self.particles.gp[self.order]] += self.force[:, 7]
 
     # ------------------------------------------------------------------ energy
 

@@ -11,7 +11,7 @@ import numpy as np
 from fdem.blocks.bounds import Springs
 from fdem.constraints import Constraints
 from fdem.errors import UnstableError
-from fdem.loads import Bedding, Dashpot, Load
+from fdem.loads import Bedding, Dashpot, Load, Torque
 from fdem.model import Model
 from fdem.state import State
 
@@ -29,6 +29,8 @@ class System:
         What compile made.
     contacts : Contacts or None
         The contact layer.
+    particles : SphereContacts or None
+        Contacts with a sphere in them.
     constraints : Constraints
         Fixed and prescribed components.
     loads : list of Load
@@ -44,12 +46,13 @@ class System:
         model: Model,
         state: State,
         contacts: Any,
+        particles: Any,
         constraints: Constraints,
         loads: list[Load],
         alpha: np.ndarray | None,
         energy: bool = True,
     ) -> None:
-        self.model, self.state, self.contacts = model, state, contacts
+        self.model, self.state, self.contacts, self.particles = model, state, contacts, particles
         self.constraints, self.loads, self.alpha = constraints, loads, alpha
         self.rate: Any = alpha  # all mass-proportional damping, that of the integrator included [1/s]
         self.lag = 0.0  # time by which v is behind q: 0 before the first step, then half a step [s]
@@ -72,7 +75,10 @@ class System:
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
         self._first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
-        self._keeps_old = contacts is not None or self._load_old is not None
+        self._torques = [load for load in loads if isinstance(load, Torque)]
+        self._turning = np.zeros_like(state.v) if self._torques else None
+        self._turning_old = np.zeros_like(state.v) if self._torques and energy else None
+        self._keeps_old = contacts is not None or particles is not None or self._load_old is not None
         self.weight = self._weight()
         self.weigh()
         self._terms = self._choose_terms()
@@ -83,6 +89,9 @@ class System:
         terms: list[Callable[[], None]] = []
         if self.contacts is not None:
             terms.append(lambda: self.contacts.forces(state.x, state.x_old, self._real_dt, state.f_gp))
+        if self.particles is not None:
+            terms.append(lambda: self.particles.forces(state.x, state.x_old, self._real_dt, state.f_gp, state.f))
+        if terms:
             for batch in self.model.batches:
                 if not batch.in_place:
                     terms.append(partial(batch.pull, state.q, state.f_gp, state.f))
@@ -117,6 +126,11 @@ class System:
             load.add(state.t, state.step, state.x, self.xdot, total)
         for batch in self.model.batches:
             batch.pull(state.q, total, state.f)
+        if self._turning is not None:
+            self._turning.fill(0.0)
+            for torque in self._torques:
+                torque.turn(state.t, self._turning)
+            state.f += self._turning
 
     def forces(self) -> np.ndarray:
         """Generalised forces f(t, q, v) of the present configuration [N, N m]."""
@@ -152,12 +166,16 @@ class System:
         self.work += self.pending_work()
         if self._load_old is not None:
             self._load_old[:] = self.f_load
+        if self._turning_old is not None:
+            self._turning_old[:] = self._turning
         if self._reaction_old is not None:
             self._reaction_old[:] = self.state.f
         if self.elastic is not None:
             self.elastic, self.elastic_old = self.elastic_old, self.elastic
         if self.contacts is not None:
             self.contacts.commit()
+        if self.particles is not None:
+            self.particles.commit()
         if self._keeps_old:
             self.state.x_old[:] = self.state.x
 
@@ -167,6 +185,8 @@ class System:
         if self._load_old is not None and self.state.step > 0:
             moved = self.state.x - self.state.x_old
             work += 0.5 * float(np.vdot(self._load_old + self.f_load, moved))
+        if self._turning_old is not None and self.state.step > 0:
+            work += 0.5 * self.dt * float((self._turning_old + self._turning) @ self.state.v)
         if self._reaction_old is not None and self.state.step > 0:
             given = self.constraints.given(self.state.v)
             work -= 0.5 * self.dt * float((self._reaction_old + self.state.f) @ given)
@@ -183,6 +203,8 @@ class System:
         self.dt = dt
         self.current = False
         if self.contacts is not None and self.contacts.update(state.x):
+            self.stale = True
+        if self.particles is not None and self.particles.update(state.x, state.x_old, state.v, dt):
             self.stale = True
 
     def velocity(self) -> np.ndarray:
@@ -206,10 +228,26 @@ class System:
         for load in self.loads:
             if isinstance(load, Bedding):
                 bedding[load.gp] += np.linalg.norm(load.matrices, 2, axis=(1, 2))
-        return Springs(self.state.x, bedding, self.contacts, self.model.gp_block, ~self.model.fixed)
+        particles = None
+        if self.particles is not None:
+            particles = self.particles.springs(self.state.x, self._speeds())
+            bedding += particles.on_faces(len(bedding))
+        return Springs(self.state.x, bedding, self.contacts, self.model.gp_block, ~self.model.fixed, particles)
+
+    def _speeds(self) -> np.ndarray:
+        """Gridpoint velocities (n_gp, 3) [m/s]; zero in fictitious time."""
+        speed = np.zeros_like(self.state.x)
+        if not self.fictitious:
+            for batch in self.model.batches:
+                batch.push(self.state.q, self.state.v, speed)
+        return speed
 
     def stiffened(self) -> bool:
         """Whether contact stiffness grew by 2 % of its block's largest anywhere, or halved in all, since last asked."""
+        if self.particles is not None and self.particles.stiffened(self._speeds()):
+            return True
+        if self.contacts is None:
+            return False
         k, model = self.springs().k_gp, self.model
         if self._k_used is not None:
             largest = np.zeros(model.n_blocks)
@@ -221,9 +259,7 @@ class System:
 
     def unseen_motion(self) -> float:
         """Longest step [s] in which no block moves so far that a stiff contact goes unseen; infinite at rest."""
-        speed = np.zeros_like(self.state.x)
-        for batch in self.model.batches:
-            batch.push(self.state.q, self.state.v, speed)
+        speed = self._speeds()
         fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
         size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
         return MOTION * size / fastest if fastest > 0.0 else np.inf
@@ -295,6 +331,8 @@ class System:
         self.constraints.release(unbalanced)
         pushes = np.linalg.norm(self.state.f_gp, axis=1)
         pushes[: self._first_pulled] = 0.0  # there f_gp is the sum of all forces
+        if self.particles is not None:
+            self.particles.add_pushes(pushes)
         if self.f_load is not None:
             pushes += np.linalg.norm(self.f_load, axis=1)
         gravity = float(np.linalg.norm(self.model.gravity))

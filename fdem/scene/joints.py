@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from fdem.errors import UnsupportedError
+from fdem.errors import SceneError, UnsupportedError
 from fdem.scene.checks import number
 
-__all__ = ["Bonded", "Coulomb", "Joint"]
+__all__ = ["Bonded", "Coulomb", "Hertz", "Joint"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +26,7 @@ class Joint:
     kn: float | None = None
     ks: float | None = None
     kernel: ClassVar[str] = ""
+    for_faces: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
@@ -63,19 +64,20 @@ class Coulomb(Joint):
     damping : float, optional
         Viscous damping as a fraction of critical of the contact's normal spring.
     rolling, twisting : float, optional
-        Rolling and twisting resistance lengths [m].
+        Rolling and twisting resistance: lengths [m] that times the normal force limit the couple of a patch.
 
     Raises
     ------
     SceneError
         If a value is out of range.
-    UnsupportedError
-        For rolling or twisting resistance.
 
     Notes
     -----
     ``traction_n = kn closure``; the shear traction grows with ``ks`` and is cut at
     ``cohesion + traction_n tan(friction)``.
+
+    Spheres: kn and ks times the reference area ``pi r^2`` of the smaller sphere are linear springs. Rolling and
+    twisting there are springs ``k l^2`` of the length l given and of the normal and the shear spring.
     """
 
     friction: float
@@ -95,15 +97,11 @@ class Coulomb(Joint):
         super().__post_init__()
         number("Coulomb", "friction", self.friction, low=0.0, high=90.0, open_high=True)
         number("Coulomb", "dilation", self.dilation, low=0.0, high=90.0, open_high=True)
-        for field in ("cohesion", "tension", "residual_cohesion", "damping"):
+        for field in ("cohesion", "tension", "residual_cohesion", "damping", "rolling", "twisting"):
             number("Coulomb", field, getattr(self, field), low=0.0)
         for field, high in (("dilation_limit", np.inf), ("residual_friction", 90.0), ("restitution", 1.0)):
             if getattr(self, field) is not None:
-                number("Coulomb", field, getattr(self, field), low=0.0, high=high)
-        for field in ("rolling", "twisting"):
-            if number("Coulomb", field, getattr(self, field), low=0.0) > 0:
-                value = getattr(self, field)
-                raise UnsupportedError(f"Coulomb: {field} = {value!r}: contact moments are not there yet")
+                number("Coulomb", field, getattr(self, field), low=0.0, high=high, open_high=high == 90.0)
 
     def properties(self, kn: float, ks: float) -> tuple[float, ...]:
         """Row of the table of the "coulomb" sweep (kernels/joints.py)."""
@@ -123,13 +121,8 @@ class Coulomb(Joint):
 
     @property
     def damping_ratio(self) -> float:
-        """Fraction of critical damping; from `restitution` e: -ln e / sqrt(pi^2 + ln^2 e)."""
-        if self.restitution is None:
-            return float(self.damping)
-        if self.restitution == 0:
-            return 1.0
-        log = np.log(self.restitution)
-        return float(-log / np.sqrt(np.pi**2 + log**2))
+        """Fraction of critical damping: that of `restitution` if given, else `damping`."""
+        return float(self.damping) if self.restitution is None else _damping_of(float(self.restitution))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,6 +158,91 @@ class Bonded(Joint):
     def properties(self, kn: float, ks: float) -> tuple[float, ...]:
         """Row of the table of the "bonded" sweep (kernels/joints.py)."""
         return kn, ks, _tan(self.friction), float(self.shear), float(self.tension)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hertz(Joint):
+    """Elastic contact of spheres by Hertz, friction by a simplified Mindlin spring with history; for spheres only.
+
+    Parameters
+    ----------
+    friction : float
+        Friction angle [deg].
+    young : float, optional
+        Young's modulus [Pa] of every body in contact that has a material; None: that of its material.
+    poisson : float, optional
+        Poisson's ratio, given together with `young`.
+    restitution : float, optional
+        Restitution coefficient of the normal impact, the same at every speed.
+    rolling, twisting : float, optional
+        Rolling and twisting resistance: lengths [m] that times the normal force limit the couples.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range.
+
+    Notes
+    -----
+    With ``1/E* = sum (1 - nu^2)/E``, ``1/G* = sum (2 - nu)/G``, ``1/R* = sum 1/R`` (a plane has R infinite, a fixed
+    body without material has E infinite) and the overlap d:
+
+    - ``N = 4/3 E* sqrt(R*) d^(3/2) + c d^(1/4) d'``, never less than 0, c from `restitution`;
+    - shear: a spring ``8 G* sqrt(R* d)`` with history, cut at ``N tan(friction)``, and a dashpot of the same fraction
+      of critical. Mindlin's partial slip is left out: below gross slip a loop dissipates nothing. Where the contact
+      grows the shear force stays, where it shrinks it falls with the stiffness, so that no energy comes from it.
+
+    References
+    ----------
+    Johnson (1985), Contact Mechanics, chapters 4 and 7; Antypov, Elliott (2011), EPL 94, 50004 (damping); Thornton,
+    Cummins, Cleary (2013), Powder Technology 233, 30-46 (history).
+    """
+
+    friction: float
+    young: float | None = None
+    poisson: float | None = None
+    restitution: float = 1.0
+    rolling: float = 0.0
+    twisting: float = 0.0
+    kernel: ClassVar[str] = "hertz"
+    for_faces: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        for field in ("kn", "ks"):
+            if getattr(self, field) is not None:
+                raise SceneError(
+                    f"Hertz: {field} = {getattr(self, field)!r}: its stiffness follows from young and poisson"
+                )
+        number("Hertz", "friction", self.friction, low=0.0, high=90.0, open_high=True)
+        number("Hertz", "restitution", self.restitution, low=0.0, high=1.0)
+        for field in ("rolling", "twisting"):
+            number("Hertz", field, getattr(self, field), low=0.0)
+        if (self.young is None) != (self.poisson is None):
+            raise SceneError(f"Hertz: young = {self.young!r} and poisson = {self.poisson!r}: give both or none")
+        if self.young is not None:
+            number("Hertz", "young", self.young, low=0.0, open_low=True)
+            number("Hertz", "poisson", self.poisson, low=-1.0, high=0.5, open_low=True)
+
+    @property
+    def damping_ratio(self) -> float:
+        """Fraction of critical damping of the contact, as that of a linear one (contact/particles.py)."""
+        return _damping_of(float(self.restitution))
+
+
+def _damping_of(restitution: float) -> float:
+    """Damping ratio of a spring and dashpot that do not pull, for a restitution coefficient.
+
+    ``e = exp(-2 z acos(z) / sqrt(1 - z^2))``, beyond z = 1 with the hyperbolic functions (Schwager and Poeschel 2007,
+    Granular Matter 9, 465-469). It reaches 0 nowhere: e below 0.01 is taken as 0.01, z = 4.6.
+    """
+    wanted, low, high = -np.log(max(restitution, 0.01)), 0.0, 8.0
+    for _ in range(60):
+        z = 0.5 * (low + high)
+        root = np.sqrt(abs(1.0 - z * z))
+        turned = np.arccos(z) if z < 1.0 else np.arccosh(z)
+        loss = 2.0 * z * turned / root if root > 0.0 else 2.0
+        low, high = (z, high) if loss < wanted else (low, z)
+    return 0.5 * (low + high) if restitution < 1.0 else 0.0
 
 
 def _tan(degrees: float) -> float:
