@@ -394,7 +394,7 @@ class SphereContacts:
         return springs_of(self, x, xdot)
 
     def stiffened(self, xdot: Array) -> bool:
-        """Whether contacts got stiffer since last asked, or much softer; also those to come at the velocities `xdot`."""
+        """Whether contacts got stiffer since last asked, or much softer; those to come at `xdot` included."""
         now = max(self.stiffest, float((alone(self, xdot) * self._inverse_mass).max(initial=0.0)))
         if 0.2 * self._known <= now <= self._known:
             return False

@@ -106,9 +106,7 @@ class Scene:
         """
         if isinstance(shape, (list, tuple)):
             names: Iterable[str | None] = [None if name is None else f"{name}_{i}" for i in range(len(shape))]
-            # checked once for all
-            motion = [vector("add", *pair) for pair in (("velocity", velocity), ("angular_velocity", angular_velocity))]
-            given = dict(group=group, fixed=fixed, velocity=motion[0], angular_velocity=motion[1])
+            given = dict(group=group, fixed=fixed, velocity=velocity, angular_velocity=angular_velocity)
             if not shape:
                 raise SceneError("add: the list of shapes is empty")
             return [self.add(s, body, material, name=n, **given) for s, n in zip(shape, names, strict=True)]  # type: ignore[arg-type]
@@ -154,11 +152,8 @@ class Scene:
             raise SceneError(f"{who}: body = {body!r}, allowed are {allowed}")
         if material is not None and not isinstance(material, Elastic):
             raise SceneError(f"{who}: material = {material!r}, allowed is an Elastic")
-        if isinstance(block.shape, Balls):
-            if not isinstance(body, Rigid):
-                raise SceneError(f"{who}: spheres and clumps are rigid, body = {body!r}; icosphere() is for every body")
-            if material is not None and callable(material.density):
-                raise SceneError(f"{who}: spheres and clumps have one density, not one that varies in space")
+        if isinstance(block.shape, Balls) and (body.deforms or callable(getattr(material, "density", None))):
+            raise SceneError(f"{who}: spheres and clumps are Rigid() and have one density; icosphere() has no such bounds")
         if isinstance(block.shape, Surface) and not (block.fixed and isinstance(body, Rigid)):
             raise SceneError(f"{who}: shape is an open surface: only fixed rigid blocks can have one")
         if material is None and not block.fixed:
