@@ -105,7 +105,7 @@ class Simulation(Readout):
 
     def _make_system(self, compiled: Compiled) -> None:
         self.model, self.state, self.drags = compiled.model, compiled.state, compiled.drags
-        self._turning = [batch for batch in compiled.model.batches if batch.turns]
+        self._turning = [(batch, _run(batch.rows)) for batch in compiled.model.batches if batch.turns]
         loads = compiled.loads + [Release(None, gp, forces, at, over) for gp, forces, at, over in self._releases]
         self.system = System(
             compiled.model,
@@ -148,8 +148,8 @@ class Simulation(Readout):
 
     def _step(self, dt: float) -> None:
         self.integrator.step(self.system, dt)
-        for batch in self._turning:
-            self.turned[batch.rows] += batch.turn(self.state.q, self.state.v, self.system.dt)
+        for batch, rows in self._turning:
+            self.turned[rows] += batch.turn(self.state.q, self.state.v, self.system.dt)
 
     def _start_progress(self, n: int, end: float | None) -> Any:
         if self._progress is False:
@@ -395,6 +395,12 @@ class Simulation(Readout):
     def save(self, path: str | Path) -> None:
         """Save the state, so that `load` continues bit for bit."""
         checkpoint.save(self, path)
+
+
+def _run(rows: np.ndarray) -> np.ndarray | slice:
+    """Rows as a slice where they follow each other: much cheaper for many."""
+    first = int(rows[0])
+    return slice(first, first + len(rows)) if np.array_equal(rows, first + np.arange(len(rows))) else rows
 
 
 def _fit(dt: float, left: float) -> float:

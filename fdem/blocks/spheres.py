@@ -55,7 +55,7 @@ class SphereBlocks:
             raise SceneError(f"sphere {bad[0]}: mass is {self.mass[bad[0]]}, it must be positive and finite")
         self.moment = 0.4 * self.mass * self.radius**2
         self._inverse = np.column_stack([1.0 / self.mass, 1.0 / self.moment])
-        self._unscaled = np.ones(self.n_blocks)
+        self._unscaled, self._turn = np.ones(self.n_blocks), np.zeros((self.n_blocks, 3))
         self.rows = np.arange(self.n_blocks)
         self.size = np.ones(self.n_blocks)
         self.free = np.ones(self.n_blocks, dtype=bool)
@@ -79,7 +79,7 @@ class SphereBlocks:
 
     def pull(self, q: Array, f_gp: Array, f: Array) -> None:
         """Add the forces on the centres to ``f`` [N]; the transpose of `push`."""
-        self._v(f)[:, :3] += f_gp[self.gridpoints]
+        kernels.ball_pull(f_gp[self.gridpoints], self._v(f))
 
     def internal(self, q: Array, x: Array, f: Array) -> None:
         """Nothing: rigid blocks have no internal forces."""
@@ -175,7 +175,7 @@ class SphereBlocks:
 
     def turn(self, q: Array, v: Array, dt: float) -> Array:
         """Rotation vectors (n_blocks, 3) [rad] of the step ``dt``."""
-        return dt * self._v(v)[:, 3:]
+        return np.multiply(self._v(v)[:, 3:], dt, out=self._turn)
 
     def rotation(self, q: Array, x: Array | None = None) -> Array:
         """Not a number, (n_blocks, 3, 3): no orientation is kept."""

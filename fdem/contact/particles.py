@@ -193,10 +193,13 @@ class SphereTable:
                     rows[mine, 1] = law.ks * area
                     rows[mine, 2] = 2.0 * law.damping * np.sqrt(rows[mine, 0] * mass)
             rows[mine, 4], rows[mine, 5] = law.tan, float(law.hertz)
-            rows[mine, 6], rows[mine, 7] = law.rolling, law.twisting
+            rows[mine, 7] = a[:, 1] + b[:, 1]
+            rows[mine, 8], rows[mine, 9] = law.rolling, law.twisting
         # without shear stiffness there is no friction; a spring of any stiffness with no limit says so
         slick = rows[:, 1] == 0.0
         rows[slick, 4], rows[slick, 3], rows[slick, 1] = 0.0, 0.0, rows[slick, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rows[:, 6] = 1.0 / rows[:, 1]
         return rows
 
     @staticmethod

@@ -164,7 +164,7 @@ def springs_of(c: SphereContacts, x: Array, xdot: Array) -> ParticleSprings:
     rows = c.table.rows[kind]
     kn, kt = _stiffness(rows, overlap, np.maximum(closing, 0.0) ** 2 + 2.0 * FALL * fall, inverse)
     twice = np.where(both, 2.0, 1.0)
-    turning = twice * (kn * rows[:, 6] ** 2 + kt * rows[:, 7] ** 2)
+    turning = twice * (kn * rows[:, 8] ** 2 + kt * rows[:, 9] ** 2)
     return ParticleSprings(
         p.gp, p.block, x[p.gp], p.radius, alone(c, xdot), first, second, normal, twice * kn, twice * kt, turning,
         face_gp, weight,

@@ -85,7 +85,7 @@ class SphereContacts:
         self.turn = np.zeros((n, 3))
         self.work = np.zeros(2)
         self.n_detections = 0
-        # largest sum of stiffness over mass of a sphere: in the last forces, and when the step was found [1/s^2]
+        # largest stiffness over reduced mass of a contact: in the last forces, and when the step was found [1/s^2]
         self.stiffest, self._known = 0.0, 0.0
         self._trial = False
         self._dt = 0.0
@@ -194,14 +194,15 @@ class SphereContacts:
             np.concatenate([first, self.order[at]]),
             np.concatenate([second, n + np.repeat(faces.block, np.diff(faces.start))]),
         )
+        self.at = self.places()
         self.kind, faces.kind = kinds[: len(first)].copy(), kinds[len(first) :].copy()
         self._memory, self._held = np.zeros_like(self.memory), np.zeros_like(self.held)
         # couples need the normal forces
         self._record = np.zeros((len(self.held), 4))
         self.place, self.motion = np.zeros((n, 4)), np.zeros((n, 8))
         self.place[:, :3], self.place[:, 3] = x[p.gp[self.order]], p.radius[self.order]
-        self.force = np.zeros((n, 8))
-        self.out, self._face_out, self._couple_out = np.zeros(4), np.zeros(4), np.zeros(1)
+        self.force = np.zeros((n, 6))
+        self.out, self._face_out, self._couple_out = np.zeros(5), np.zeros(5), np.zeros(1)
         if self.facets is not None:
             faces.prepare(self.facets, x)
         self._trial = False
@@ -314,7 +315,8 @@ class SphereContacts:
             faces.spread(f_gp)
         if self._couples:
             self._add_couples(x, f_gp)
-        self.stiffest = kernels.unpack(self.order, p.gp, p.spin, self._inverse_mass, self.force, f_gp, f)
+        kernels.unpack(self.at, p.gp, p.spin, self.force, f_gp, f)
+        self.stiffest = max(float(self.out[4]), float(self._face_out[4]))
         self._trial = True
         if self.out[3] > 0.0 or self._face_out[3] > 0.0:
             raise OverlapError(self._too_deep())
@@ -403,7 +405,12 @@ class SphereContacts:
 
     def add_pushes(self, pushes: Array) -> None:
         """Add the sum of normal forces on every sphere to `pushes` (n_gp,) [N]: on its one gridpoint they cancel."""
-        pushes[self.particles.gp[self.order]] += self.force[:, 7]
+        first, second = self.pair_particles()
+        normal, gp = self.recorded()[:, 0], self.particles.gp
+        np.add.at(pushes, gp[first], normal)
+        np.add.at(pushes, gp[second], normal)
+        if len(self.faces.at):
+            np.add.at(pushes, gp[self.order[self.faces.slot_at]], self.faces.record[:, 0])
 
     # ------------------------------------------------------------------ energy
 

@@ -7,10 +7,10 @@ hold obey the rule of the elastic slip: they turn with the contact, and shrink w
 
 | shared argument | shape | |
 |---|---|---|
-| kind, table | | as in kernels/spheres.py; columns 6 and 7 are the rolling and the twisting length [m] |
+| kind, table | | as in kernels/spheres.py; columns 8 and 9 are the rolling and the twisting length [m] |
 | normal force | (m,) | column 0 of a record [N] |
 | old, new | (m, 6) | committed and trial: rotations of rolling (0-2) and twisting (3) [rad], their stiffness over r |
-| force | (n, 8) | moments in 4-6 are added to [N m] |
+| force | (n, 6) | moments in 3-5 are added to [N m] |
 | out | (1,) | work of friction [J], added to |
 """
 
@@ -51,7 +51,7 @@ def _couple(dx, dy, dz, nx, ny, nz, about, root, old_root, row, pressing, held, 
         moment[c] = 0.0
     grown = min(old_root / root, 1.0)
     twist = dx * nx + dy * ny + dz * nz
-    rolling, twisting = row[6], row[7]
+    rolling, twisting = row[8], row[9]
     before = _energy(old_root, held)
     held[4], held[5] = row[0] * rolling * rolling, row[1] * twisting * twisting
     if rolling > 0.0:
@@ -111,8 +111,8 @@ def pair_couples(place, motion, start, partner, kind, table, memory_old, memory,
                 ax - bx, ay - by, az - bz, nx, ny, nz, about, root, memory_old[k, 3], row, record[k, 0], new[k], moment
             )
             for c in range(3):
-                force[a, 4 + c] += moment[c]
-                force[b, 4 + c] -= moment[c]
+                force[a, 3 + c] += moment[c]
+                force[b, 3 + c] -= moment[c]
 
 
 @kernel
@@ -140,7 +140,7 @@ def face_couples(
             table[kind[k]], record[k, 0], new[k], moment,
         )  # fmt: skip
         for c in range(3):
-            force[at[k], 4 + c] += moment[c]
+            force[at[k], 3 + c] += moment[c]
             couple[k, c] = -moment[c]
     for k in range(len(at)):
         if gone[k] and memory_old[k, 3] > 0.0:

@@ -217,14 +217,17 @@ def touch(
     for g in range(len(at)):
         a, first, last = at[g], slot_start[g], slot_start[g + 1]
         px, py, pz, r = place[a, 0], place[a, 1], place[a, 2], place[a, 3]
+        for k in range(first, last):
+            active[k], source[k] = 0, -1
         m = _candidates(
             px, py, pz, r, start[g], start[g + 1], face, corner_start, corner_x, normal, spot, found, point, away
         )  # fmt: skip
-        count = _accept(
-            m, px, py, pz, r, face, corner_start, corner_x, normal, found, point, away, chosen, direction, last - first
-        )  # fmt: skip
-        for k in range(first, last):
-            active[k], source[k] = 0, -1
+        count = 0
+        if m > 0:
+            count = _accept(
+                m, px, py, pz, r, face, corner_start, corner_x, normal, found, point, away, chosen, direction,
+                last - first,
+            )  # fmt: skip
         for j in range(count):
             k, q = first + j, found[chosen[j]]
             f = face[q]

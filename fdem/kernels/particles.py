@@ -362,29 +362,24 @@ def pack(order, gp, x, x_old, turn, place, motion):
 
 
 @kernel
-def unpack(order, gp, spin, inverse_mass, force, f_gp, f):
-    """Add forces to gridpoints and moments to blocks; the largest sum of stiffness over mass [1/s^2].
+def unpack(at, gp, spin, force, f_gp, f):
+    """Add forces to gridpoints and moments to blocks.
 
     ============  ==========  ==================================================
-    order         (n,)        particle at every packed place
+    at            (n,)        packed place of every particle
     gp, spin      (n,)        gridpoint; first rotational velocity, -1: does not turn
-    inverse_mass  (n,)        of the block, 0 if it cannot move [1/kg]
-    force         (n, 8)      packed: force [N] in 0-2, sum of contact stiffness [N/m] in 3, moment [N m] in 4-6
+    force         (n, 6)      packed: force [N] and moment [N m]
     f_gp          (n_gp, 3)   added to [N]
     f             (n_dofs,)   added to [N m]
     ============  ==========  ==================================================
     """
-    stiffest = 0.0
-    for i in range(len(order)):
-        p = order[i]
-        g, s = gp[p], spin[p]
+    for p in range(len(at)):
+        i, g, s = at[p], gp[p], spin[p]
         for d in range(3):
             f_gp[g, d] += force[i, d]
         if s >= 0:
             for d in range(3):
-                f[s + d] += force[i, 4 + d]
-        stiffest = max(stiffest, force[i, 3] * inverse_mass[p])
-    return stiffest
+                f[s + d] += force[i, 3 + d]
 
 
 @kernel

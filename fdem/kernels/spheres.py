@@ -1,9 +1,9 @@
-"""Contact of spheres: one fused pass over a half list of pairs, sixteen contacts side by side, history inline.
+"""Contact of spheres: one fused pass over a half list of pairs, many contacts side by side, history inline.
 
 Every law is one formula in the overlap d and what the pair's row of `table` says:
 
     N = K d r + c_n sqrt(r) d'                    not less than 0
-    T = k_t r s + c_t sqrt(r) s'                  spring not more than mu N, the dashpot takes what is left of it
+    T = k_t r s + c_t sqrt(r) s'                  spring not more than mu N, no dashpot where both are more
 
 with ``r = sqrt(d)`` for Hertz-Mindlin (K = 4/3 E* sqrt(R*), k_t = 8 G* sqrt(R*)) and ``r = 1`` for linear springs. s
 is the elastic slip, a vector that turns with the contact. Where the contact area grows, s shrinks so that T stays (new
@@ -18,12 +18,13 @@ The two bodies meet in the middle of the overlap: arms and forces are those of o
 | motion | (n, 8) | displacement [m] (0-2) and rotation [rad] (3-5) since the last commit |
 | start, partner | uint32 | half list of pairs |
 | kind | (m,) uint32 | row of `table` |
-| table | (k, 10) | K [N/m, N/m^1.5], k_t, c_n, c_t, mu, 1 for Hertz or 0, rolling, twisting length [m], - , - |
+| table | (k, 10) | K [N/m, N/m^1.5], k_t, c_n, c_t, mu, 1 for Hertz or 0, 1/k_t, 1/(reduced mass) [1/kg], rolling and twisting length [m] |
 | memory_old, memory | (m, 4) | committed and trial history: s [m], r (0: open) |
 | dt | float | time since the last commit [s]; 0: no dashpots |
-| force | (n, 8) | out: force [N] 0-2, sum of tangent stiffness [N/m] 3, moment [N m] 4-6, sum of normal forces [N] 7 |
+| force | (n, 6) | out: force [N] and moment [N m] |
 | record | (m, 4) or (0, 4) | out, if it has rows: N [N], T on the first sphere's partner [N] |
-| out | (4,) | friction and damping work [J], added to; touching pairs; 1 + row of a pair that is too deep, or 0 |
+| out | (5,) | friction and damping work [J], added to; touching pairs; 1 + row of a pair that is too deep, or 0;
+largest tangent stiffness over reduced mass [1/s^2] |
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ import numpy as np
 
 from fdem._jit import kernel
 
-L = 16  # contacts computed side by side
+L = 32  # contacts computed side by side: two or four vectors, so that one waits while the other computes
 DEEP = 1.0 / 3.0  # half the overlap over the arm where the overlap is half the smaller radius: no contact any more
 
 
@@ -69,9 +70,9 @@ def _pair_geometry(work):
 
 @kernel
 def _law(work, inverse_dt):
-    """Forces of L contacts (top of file) from rows 14-21, history in 24-27 and table in 28-33.
+    """Forces of L contacts (top of file) from rows 14-21, history in 24-27 and table in 28-35.
 
-    Out: row 0 N, 1-3 T, 4 friction work, 5 damping work, 6 tangent stiffness, 24-27 history.
+    Out: row 0 N, 1-3 T, 4 friction work, 5 damping work, 6 stiffness over mass, 24-27 history.
     """
     for i in range(L):
         nx, ny, nz = work[14 * L + i], work[15 * L + i], work[16 * L + i]
@@ -90,9 +91,9 @@ def _law(work, inverse_dt):
         viscous = viscous if viscous > -elastic else -elastic
         normal = elastic + viscous
         kt0 = work[29 * L + i]
-        kt = kt0 * root
+        kt, inverse_root = kt0 * root, 1.0 / root
         cap = work[32 * L + i] * normal
-        most = cap / kt
+        most = cap * work[34 * L + i] * inverse_root
         # history: with the plane of contact, round its normal, at its length
         length = s0 * s0 + s1 * s1 + s2 * s2
         along = s0 * nx + s1 * ny + s2 * nz
@@ -101,7 +102,7 @@ def _law(work, inverse_dt):
             s0 + about * (ny * s2 - nz * s1), s1 + about * (nz * s0 - nx * s2), s2 + about * (nx * s1 - ny * s0)
         )  # fmt: skip
         flat = b0 * b0 + b1 * b1 + b2 * b2
-        grown = old_root / root
+        grown = old_root * inverse_root
         grown = grown if grown < 1.0 else 1.0
         kept = length * grown * grown
         kept = kept if kept < most * most else most * most
@@ -115,27 +116,26 @@ def _law(work, inverse_dt):
         share = share if trial > 0.0 else 0.0
         friction += cap * (trial - held)
         s0, s1, s2 = s0 * share, s1 * share, s2 * share
-        # the dashpot takes what the cone leaves
+        # the dashpot acts as far as the cone holds both
         drag = work[31 * L + i] * fourth * inverse_dt
         slip = ex * ex + ey * ey + ez * ez
         left = cap - kt * held
-        part = left * left / (drag * drag * slip)
-        drag = drag * part if part < 1.0 else drag
+        drag = drag if drag * drag * slip <= left * left else 0.0
         work[i] = normal
         work[L + i], work[2 * L + i], work[3 * L + i] = kt * s0 + drag * ex, kt * s1 + drag * ey, kt * s2 + drag * ez
         work[4 * L + i] = friction
         work[5 * L + i] = viscous * closing + drag * slip
-        work[6 * L + i] = stiffness * (1.0 + 0.5 * hertz)
+        work[6 * L + i] = stiffness * (1.0 + 0.5 * hertz) * work[35 * L + i]
         work[24 * L + i], work[25 * L + i], work[26 * L + i], work[27 * L + i] = s0, s1, s2, root
 
 
 @kernel
 def _lanes():
     """Work of L contacts that gives no NaN wherever it is not filled."""
-    work = np.zeros(34 * L)
+    work = np.zeros(36 * L)
     for i in range(L):
         work[i] = work[3 * L + i] = work[4 * L + i] = work[17 * L + i] = 1.0
-        work[28 * L + i] = work[29 * L + i] = 1.0
+        work[28 * L + i] = work[29 * L + i] = work[34 * L + i] = 1.0
     return work
 
 
@@ -144,14 +144,15 @@ def _pairs_done(count, first, second, row, work, inverse_dt, memory, force, reco
     """Compute the pairs gathered in `work` and add their forces."""
     _pair_geometry(work)
     _law(work, inverse_dt)
+    friction, damping, stiffest = 0.0, 0.0, out[4]
     for i in range(count):
         a, b, k = first[i], second[i], row[i]
         normal, t0, t1, t2 = work[i], work[L + i], work[2 * L + i], work[3 * L + i]
-        out[0] += work[4 * L + i]
-        out[1] += work[5 * L + i]
+        friction += work[4 * L + i]
+        damping += work[5 * L + i]
+        stiffest = max(stiffest, work[6 * L + i])
         nx, ny, nz = work[14 * L + i], work[15 * L + i], work[16 * L + i]
-        ai, aj, stiffness = work[22 * L + i], work[23 * L + i], work[6 * L + i]
-        half = 0.5 * work[17 * L + i]
+        ai, aj, half = work[22 * L + i], work[23 * L + i], 0.5 * work[17 * L + i]
         if not half < DEEP * min(ai, aj):
             out[3] = k + 1
         gx, gy, gz = normal * nx + t0, normal * ny + t1, normal * nz + t2
@@ -159,23 +160,22 @@ def _pairs_done(count, first, second, row, work, inverse_dt, memory, force, reco
         force[a, 0] -= gx
         force[a, 1] -= gy
         force[a, 2] -= gz
-        force[a, 3] += stiffness
-        force[a, 4] -= ai * mx
-        force[a, 5] -= ai * my
-        force[a, 6] -= ai * mz
-        force[a, 7] += normal
+        force[a, 3] -= ai * mx
+        force[a, 4] -= ai * my
+        force[a, 5] -= ai * mz
         force[b, 0] += gx
         force[b, 1] += gy
         force[b, 2] += gz
-        force[b, 3] += stiffness
-        force[b, 4] -= aj * mx
-        force[b, 5] -= aj * my
-        force[b, 6] -= aj * mz
-        force[b, 7] += normal
+        force[b, 3] -= aj * mx
+        force[b, 4] -= aj * my
+        force[b, 5] -= aj * mz
         for c in range(4):
             memory[k, c] = work[(24 + c) * L + i]
         if len(record) > 0:
             record[k, 0], record[k, 1], record[k, 2], record[k, 3] = normal, t0, t1, t2
+    out[0] += friction
+    out[1] += damping
+    out[4] = stiffest
 
 
 @kernel
@@ -184,9 +184,10 @@ def pair_forces(place, motion, start, partner, kind, table, memory_old, memory, 
     inverse_dt = 1.0 / dt if dt > 0.0 else 0.0
     work = _lanes()
     first, second, row = np.zeros(L, np.uint32), np.zeros(L, np.uint32), np.zeros(L, np.uint32)
+    filled = np.full(L, -1, np.int64)  # row of the table that a lane holds already
     count, touching = 0, 0
     force[:, :] = 0.0
-    out[3] = 0.0
+    out[3] = out[4] = 0.0
     for a in range(len(start) - 1):
         x, y, z, r = place[a, 0], place[a, 1], place[a, 2], place[a, 3]
         for k in range(start[a], start[a + 1]):
@@ -211,8 +212,10 @@ def pair_forces(place, motion, start, partner, kind, table, memory_old, memory, 
             for c in range(4):
                 work[(24 + c) * L + count] = memory_old[k, c]
             law = kind[k]
-            for c in range(6):
-                work[(28 + c) * L + count] = table[law, c]
+            if filled[count] != law:
+                filled[count] = law
+                for c in range(8):
+                    work[(28 + c) * L + count] = table[law, c]
             first[count], second[count], row[count] = a, b, k
             count += 1
             touching += 1
@@ -239,10 +242,10 @@ def face_forces(
     source        (m,)        row of `memory_old` that a contact goes on from, -1: new
     memory        (m, 8)      out: trial history
     dt            float       [s]; 0: no dashpots
-    force         (n, 8)      added to, as for pairs
+    force         (n, 6)      added to, as for pairs
     push          (m, 3)      out: force on the face [N], 0 for open rows
     record        (m, 4)      out: N and T [N], 0 for open rows
-    out           (4,)        added to, as for pairs; 1 + row of a contact that is too deep in 3
+    out           (5,)        as for pairs; touching contacts are added to
     ============  ==========  ==========================================================================
     """
     inverse_dt = 1.0 / dt if dt > 0.0 else 0.0
@@ -262,7 +265,7 @@ def face_forces(
                 work[(14 + c) * L + count] = geometry[k, c]
             for c in range(4):
                 work[(24 + c) * L + count] = memory_old[source[k], c] if source[k] >= 0 else 0.0
-            for c in range(6):
+            for c in range(8):
                 work[(28 + c) * L + count] = table[kind[k], c]
             row[count] = k
             count += 1
@@ -290,11 +293,10 @@ def _face_done(i, k, a, k_t, geometry, work, memory, force, push, record, out):
     force[a, 0] -= push[k, 0]
     force[a, 1] -= push[k, 1]
     force[a, 2] -= push[k, 2]
-    force[a, 3] += work[6 * L + i]
-    force[a, 4] -= arm * (ny * t2 - nz * t1)
-    force[a, 5] -= arm * (nz * t0 - nx * t2)
-    force[a, 6] -= arm * (nx * t1 - ny * t0)
-    force[a, 7] += normal
+    out[4] = max(out[4], work[6 * L + i])
+    force[a, 3] -= arm * (ny * t2 - nz * t1)
+    force[a, 4] -= arm * (nz * t0 - nx * t2)
+    force[a, 5] -= arm * (nx * t1 - ny * t0)
     for c in range(4):
         memory[k, c] = work[(24 + c) * L + i]
     memory[k, 4], memory[k, 5], memory[k, 6], memory[k, 7] = nx, ny, nz, k_t
@@ -321,6 +323,15 @@ def ball_accelerate(f, inverse, scale, a):
         m, i = inverse[b, 0] / scale[b], inverse[b, 1] / scale[b]
         a[b, 0], a[b, 1], a[b, 2] = m * f[b, 0], m * f[b, 1], m * f[b, 2]
         a[b, 3], a[b, 4], a[b, 5] = i * f[b, 3], i * f[b, 4], i * f[b, 5]
+
+
+@kernel
+def ball_pull(f_gp, f):
+    """Add forces on the centres f_gp (n, 3) [N] to the generalised forces f (n, 6)."""
+    for b in range(len(f)):
+        f[b, 0] += f_gp[b, 0]
+        f[b, 1] += f_gp[b, 1]
+        f[b, 2] += f_gp[b, 2]
 
 
 @kernel

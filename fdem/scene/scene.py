@@ -153,7 +153,9 @@ class Scene:
         if material is not None and not isinstance(material, Elastic):
             raise SceneError(f"{who}: material = {material!r}, allowed is an Elastic")
         if isinstance(block.shape, Balls) and (body.deforms or callable(getattr(material, "density", None))):
-            raise SceneError(f"{who}: spheres and clumps are Rigid() and have one density; icosphere() has no such bounds")
+            raise SceneError(
+                f"{who}: spheres and clumps are Rigid() and have one density; icosphere() has no such bounds"
+            )
         if isinstance(block.shape, Surface) and not (block.fixed and isinstance(body, Rigid)):
             raise SceneError(f"{who}: shape is an open surface: only fixed rigid blocks can have one")
         if material is None and not block.fixed:
