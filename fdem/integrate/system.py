@@ -259,10 +259,17 @@ class System:
 
     def unseen_motion(self) -> float:
         """Longest step [s] in which no block moves so far that a stiff contact goes unseen; infinite at rest."""
-        speed = self._speeds()
-        fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
-        size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
-        return MOTION * size / fastest if fastest > 0.0 else np.inf
+        speed, faced = self._speeds(), np.ones(self.model.n_blocks, dtype=bool)
+        unseen = np.inf
+        if self.particles is not None:
+            faced[self.particles.particles.block] = False
+            unseen = self.particles.unseen_motion(speed)
+        if not faced.any():
+            return unseen
+        square = np.einsum("ni,ni->n", speed, speed) * faced[self.model.gp_block]
+        fastest = float(np.sqrt(square.max(initial=0.0)))
+        size = float(self.model.size[faced & ~self.model.fixed].min(initial=np.inf))
+        return min(unseen, MOTION * size / fastest) if fastest > 0.0 else unseen
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""
