@@ -21,6 +21,7 @@ Ints = NDArray[np.int32]
 ALIGNED = 0.99  # -n_a.n_f above which two faces lie against each other
 STRIP = 0.02  # -n_a.n_f below which a patch is a side strip: force only
 TRAVEL = 1e-3  # of the square root of the pair's largest patch: motion after which walls are cut anew
+EDGE_TRAVEL = 0.02  # of its width: closure after which a patch along an edge is cut anew
 LATENT_TRAVEL = 1e-4  # of it: least motion into the face before side strips that were left out are looked at again
 
 
@@ -189,18 +190,15 @@ def cut_pairs(
     largest, largest_closed, nearest = np.zeros(len(which)), np.zeros(len(which)), miss.copy()
     upkeep.prune(local, facing, area, closed, margin, prune, keep, largest, largest_closed, nearest)
     travel = np.sqrt(np.maximum(largest, 0.25 * np.where(np.isfinite(size), size, 0.0) ** 2))
-    # or a strip that was left out comes to weigh
-    latent = np.full(len(which), np.inf)
-    footprints.latent_reach(
-        local, keep | facing, start, corners, plane_depth - p.offset, area, p.ref_ratio, prune * largest_closed, latent
-    )
-    latent = np.maximum(latent, LATENT_TRAVEL * travel)
-    # face against face: strips carry no normal force, so closure alone is no reason (CONTACT.md 3.9)
-    flat = keep & (align > ALIGNED)
-    latent[local[flat]] = 0.25 * window[which[local[flat]]]
-    p.flags[flat] |= kernels.FLAT
     p.reach[:] = (nearest + TRAVEL * travel)[local]
-    p.normal_reach[:] = latent[local]
+    p.flags[keep & (align > ALIGNED)] |= kernels.FLAT
+    p.normal_reach[:] = _normal_reach(
+        p, local, keep, facing, prune * largest_closed, travel, window[which], size, sizes, plane_depth
+    )
+    footprints.along_edges(
+        keep & facing, face_m, gp, start, corners, x, area, depth, s.corner_start, g.corner_x, g.normal, g.kind,
+        EDGE_TRAVEL, p.flags, p.normal_reach,
+    )  # fmt: skip
     p.flags[facing] |= kernels.FACING
     empty = np.ones(len(which), bool)
     empty[local[keep]] = False
@@ -214,6 +212,28 @@ def cut_pairs(
     return Cut(
         p, ghosts, which[too_deep == 1], area[ids], closed[ids], align[ids], depth[ids], plane_depth[ids], centre[ids]
     )
+
+
+def _normal_reach(
+    p: Patches, local: Ints, keep: Any, facing: Any, level: Array, travel: Array, window: Array, size: Array,
+    sizes: list[Array], plane_depth: Array,
+) -> Array:  # fmt: skip
+    """How far [m] every patch may go into its master face before its pair is cut anew; `local` (n,): its pair."""
+    area, closed, _, depth = sizes
+    # until a strip that was left out comes to weigh
+    latent = np.full(len(travel), np.inf)
+    footprints.latent_reach(
+        local, keep | facing, p.start, p.corners, plane_depth - p.offset, area, p.ref_ratio, level, latent
+    )
+    latent = np.maximum(latent, LATENT_TRAVEL * travel)
+    # a strip gains closed area as the pair slides into it: no more force than TRAVEL of the pair's
+    volume = np.bincount(local[facing], 0.5 * (closed * np.maximum(depth, 0.0))[facing], len(travel))
+    slide = np.sqrt(2.0 * TRAVEL * volume / np.where(np.isfinite(size), size, 1.0))
+    reach = np.where(~facing & (slide[local] > 0.0), np.minimum(latent, slide)[local], latent[local])
+    # face against face: strips carry no normal force, so closure alone is no reason (CONTACT.md 3.9)
+    flat = (p.flags & kernels.FLAT) > 0
+    reach[flat] = 0.25 * window[local[flat]]
+    return reach
 
 
 def _ghosts(

@@ -12,9 +12,15 @@ from fdem.kernels import upkeep
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
 
-__all__ = ["drifted_pairs", "worn_pairs"]
+__all__ = ["closing", "drifted_pairs", "worn_pairs"]
 
 Array = NDArray[np.float64]
+
+
+def closing(c: Contacts, x: Array, out: Any) -> bool:
+    """Mark pairs in `out` (n_pairs,) uint8 with a patch that is wider than the faces and closes; whether there are."""
+    p = c.patches
+    return bool(upkeep.closing(p.gp, p.pair, p.flags, p.start, p.corners, p.offset, x, out))
 
 
 def worn_pairs(c: Contacts, x: Array) -> Any:
@@ -23,6 +29,7 @@ def worn_pairs(c: Contacts, x: Array) -> Any:
     worn = np.zeros(len(c.pairs), np.uint8)
     upkeep.worn_pairs(p.gp, p.pair, p.w_clip, p.flags, p.reach, p.normal_reach, x, worn)
     upkeep.worn_pairs(g.gp, g.pair, g.w, np.zeros(len(g.pair), np.uint8), g.reach, g.reach, x, worn)
+    closing(c, x, worn)
     return worn
 
 
