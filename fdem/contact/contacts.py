@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from fdem.contact import startup, table
 from fdem.contact.broad import REACH, block_skins, candidate_pairs, master_first
+from fdem.contact.corners import pair_corners, stored_in_corners
 from fdem.contact.history import inherit_history, inherit_laws, known_offsets
-from fdem.contact.laws import LawTable
+from fdem.contact.laws import LawTable, stiffness_of
 from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
 from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
 from fdem.contact.wear import closing, drifted_pairs, worn_pairs
 from fdem.errors import OverlapError, SceneError
-from fdem.kernels import footprints, joints, memory, upkeep
+from fdem.kernels import corners, footprints, joints, memory, upkeep
 from fdem.kernels import patches as kernels
 
 __all__ = ["Contacts", "LawTable"]
@@ -232,6 +233,8 @@ class Contacts:
         p = self.patches
         length = (p.memory_old[:, :3] ** 2).sum(axis=1)
         energies: Array = 0.5 * self._ks * (self._area * length).reshape(-1, 3).sum(axis=1) * (p.active_old > 0)
+        if self._corner is not None:
+            energies *= self._corner[4][p.pair]
         return energies
 
     def _lose_slip(self, energy: float) -> None:
@@ -257,7 +260,7 @@ class Contacts:
             cut = self._cut(which, x, old, raise_deep=OverlapError)
             new = cut.patches
             area = inherit_history(self.surfaces, old, new, x)
-            taken = memory.slip_energy(area, new.memory_old, self._stiffness_of(new)[1], new.active_old)
+            taken = memory.slip_energy(area, new.memory_old, stiffness_of(self.laws, new)[1], new.active_old)
             self._lose_slip(float(slip[touched].sum()) - taken)
             merged, ids = cut.patches, np.arange(len(cut.patches))
             if len(kept):
@@ -275,14 +278,6 @@ class Contacts:
         self.x_check[:] = x
         self._prepare()
 
-    def _stiffness_of(self, p: Patches) -> tuple[Array, Array]:
-        """Normal and shear stiffness (n,) of patches [Pa/m]."""
-        kn, ks = np.zeros(len(p)), np.zeros(len(p))
-        for k, law in enumerate(self.laws):
-            mine = p.law == k
-            kn[mine], ks[mine] = law.props[p.prop[mine], 0], law.props[p.prop[mine], 1]
-        return kn, ks
-
     def _prepare(self) -> None:
         p, s = self.patches, self.surfaces
         n = len(p)
@@ -295,7 +290,8 @@ class Contacts:
         self._damped = any(
             law.damped and self._law_start[k + 1] > self._law_start[k] for k, law in enumerate(self.laws)
         )
-        self._kn, self._ks = self._stiffness_of(p)
+        self._kn, self._ks = stiffness_of(self.laws, p)
+        self._corner = pair_corners(self)
         self._points, self._active = p.points_old.copy(), np.zeros(n, np.uint8)
         self._memory_start = np.zeros((3 * n, self.n_memory))
         self._memory = np.zeros((3 * n, self.n_memory))
@@ -317,6 +313,7 @@ class Contacts:
         depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
         self._close_arguments = (p.gp, p.start, p.corners, p.offset, p.flags, p.limit, p.ref_points, p.ref_ratio)
         self._closed = (self._area, self._gap, depth, face_normal)
+        self._face_normal = face_normal
         self._rows = (
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
             self._pair_area, self._pair_normal, depth, face_normal,
@@ -362,6 +359,8 @@ class Contacts:
                 p.gp, self._active, p.pair, self._pair_area, self._inverse, self._inverse_gp, self._area, self._w,
                 self._mass,
             )  # fmt: skip
+        if self._corner is not None:
+            corners.corner_energy(p.pair, self._active, self._gap, self._area, self._align, *self._corner)
         for k, law in enumerate(self.laws):
             lo, hi = self._law_start[k], self._law_start[k + 1]
             if hi > lo:
@@ -370,6 +369,12 @@ class Contacts:
                     self._mass, p.prop, law.props, self._memory_start, self._memory, self._traction, self._work,
                     self._state,
                 )  # fmt: skip
+        if self._corner is not None:
+            _, _, _, slopes, factor, energy = self._corner
+            corners.corner_tractions(
+                p.pair, self._active, self._gap, self._area, self._face_normal, slopes, factor, self._ks, self._memory,
+                self._traction, self._work, energy,
+            )  # fmt: skip
         self._trial, self._filled = True, True
         kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._traction, f_gp)
 
@@ -395,7 +400,7 @@ class Contacts:
                 kernels.stored_energy(
                     self._area, self._gap, self._facing, p.memory_old, self._kn, self._ks, p.active_old, 0, len(p)
                 )
-            )
+            ) + stored_in_corners(self)
         return self._stored
 
     @property
@@ -410,10 +415,7 @@ class Contacts:
 
     def points(self, x: Array) -> Array:
         """Places of the three points of every whole patch (3 n_patches, 3) [m]."""
-        w = self.patches.ref_points.reshape(-1, 2)
-        w = np.column_stack([1.0 - w.sum(axis=1), w])
-        out: Array = np.einsum("ij,ijk->ik", w, x[np.repeat(self.patches.gp[:, :3], 3, axis=0)])
-        return out
+        return table.whole_points(self.patches, x)
 
     @property
     def n_patches(self) -> int:

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdem.contact.corners import felt_areas
 from fdem.kernels import joints, upkeep
 from fdem.kernels import patches as kernels
 
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
+    from fdem.contact.narrow import Patches
 
-__all__ = ["contact_table", "frames", "potential_k_gp", "preload", "stiffness"]
+__all__ = ["contact_table", "frames", "potential_k_gp", "preload", "stiffness", "whole_points"]
 
 Array = NDArray[np.float64]
 
@@ -45,6 +47,14 @@ def _areas(c: Contacts, x: Array) -> Array:
     return out
 
 
+def whole_points(p: Patches, x: Array) -> Array:
+    """Places of the three points of every whole patch (3 n_patches, 3) [m]."""
+    w = p.ref_points.reshape(-1, 2)
+    w = np.column_stack([1.0 - w.sum(axis=1), w])
+    out: Array = np.einsum("ij,ijk->ik", w, x[np.repeat(p.gp[:, :3], 3, axis=0)])
+    return out
+
+
 def stiffness(c: Contacts, x: Array) -> tuple[Any, Array, Array, Array, Array]:
     """Rows of all patches as if closed.
 
@@ -60,7 +70,7 @@ def stiffness(c: Contacts, x: Array) -> tuple[Any, Array, Array, Array, Array]:
     p = c.patches
     w = np.zeros((3 * len(p), 7))
     kernels.weights_at(p.gp, c._thick, p.ref_points, x, w)
-    area = _areas(c, x) / 3.0
+    area = felt_areas(c, _areas(c, x)) / 3.0
     normal = _unit(_face_normals(p.gp, x, 1))
     frame = np.repeat(frames(normal), 3, axis=0)
     return np.repeat(p.gp, 3, axis=0), w, frame, np.repeat(c._kn * area, 3), np.repeat(c._ks * area, 3)
@@ -77,7 +87,7 @@ def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
     affine = c.surfaces.affine
     soft = 1 - np.column_stack([affine[c.slave[p.pair]], affine[c.master[p.pair]]])
     facing = (p.flags & kernels.FACING) > 0
-    k = np.repeat(np.where(facing, np.maximum(c._kn, c._ks), c._kn) * _areas(c, x) / 3.0, 3)
+    k = np.repeat(np.where(facing, np.maximum(c._kn, c._ks), c._kn) * felt_areas(c, _areas(c, x)) / 3.0, 3)
     upkeep.gridpoint_stiffness(p.gp, w, k, np.asarray(mobile, dtype=bool), soft.astype(np.uint8), out)
     return out
 

@@ -85,7 +85,7 @@ def box_pairs(lower, upper, reach, fixed):
         used[level[i]] = True
         s = size / 2.0 ** level[i]
         for d in range(3):
-            cell[i, d] = int(math.floor((lo[i, d] - origin[d]) / s))
+            cell[i, d] = math.floor((lo[i, d] - origin[d]) / s)
         slot = _slot(level[i], cell[i, 0], cell[i, 1], cell[i, 2], mask)
         following[i] = head[slot]
         head[slot] = i
@@ -98,9 +98,9 @@ def box_pairs(lower, upper, reach, fixed):
             a0, b0, c0 = cell[i, 0] - 1, cell[i, 1] - 1, cell[i, 2] - 1
             a1, b1, c1 = cell[i, 0] + 1, cell[i, 1] + 1, cell[i, 2] + 1
             if not same:
-                a0, a1 = int(math.floor((lo[i, 0] - origin[0]) / s)) - 1, int(math.floor((hi[i, 0] - origin[0]) / s))
-                b0, b1 = int(math.floor((lo[i, 1] - origin[1]) / s)) - 1, int(math.floor((hi[i, 1] - origin[1]) / s))
-                c0, c1 = int(math.floor((lo[i, 2] - origin[2]) / s)) - 1, int(math.floor((hi[i, 2] - origin[2]) / s))
+                a0, a1 = math.floor((lo[i, 0] - origin[0]) / s) - 1, math.floor((hi[i, 0] - origin[0]) / s)
+                b0, b1 = math.floor((lo[i, 1] - origin[1]) / s) - 1, math.floor((hi[i, 1] - origin[1]) / s)
+                c0, c1 = math.floor((lo[i, 2] - origin[2]) / s) - 1, math.floor((hi[i, 2] - origin[2]) / s)
             for a in range(a0, a1 + 1):
                 for b in range(b0, b1 + 1):
                     for c in range(c0, c1 + 1):

@@ -295,26 +295,9 @@ def _bounds(bufs, work, n_pieces, xs, df, box):
 
 
 @kernel
-def _around(faces, lo, hi, m, reach, face_start, lower, upper, box, out):
-    """Faces of block m whose boxes lie within `reach` of the slave faces ``faces[lo:hi, 0]``, into `out`; their number."""
-    box[0], box[1] = np.inf, -np.inf
-    for row in range(lo, hi):
-        a = faces[row, 0]
-        for d in range(3):
-            box[0, d], box[1, d] = min(box[0, d], lower[a, d] - reach), max(box[1, d], upper[a, d] + reach)
-    n = 0
-    for g in range(face_start[m], face_start[m + 1]):
-        if lower[g, 0] <= box[1, 0] and lower[g, 1] <= box[1, 1] and lower[g, 2] <= box[1, 2]:
-            if upper[g, 0] >= box[0, 0] and upper[g, 1] >= box[0, 1] and upper[g, 2] >= box[0, 2]:
-                out[n] = g
-                n += 1
-    return n
-
-
-@kernel
 def _rivals(
-    f, around, xs, df, h, snap, n_pieces, convex, affine, all_faces, corner_start, corner_x, normal, wall, kind, lower,
-    upper, bufs, work, tmp, part, dg, v, o, box,
+    f, around, xs, df, h, snap, n_pieces, convex, affine, all_faces, corner_start, corner_x, normal, wall, kind,
+    lower, upper, bufs, work, tmp, part, dg, v, o, box,
 ):  # fmt: skip
     """Take away what other faces of the master are nearer to; number of pieces, margin and miss as in `_own_cell`.
 
@@ -473,14 +456,14 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
 
 @kernel
 def clip_faces(
-    pair_start, faces, master, window, size, max_corners, face_start, corner_start, corner_w, ref, limit, convex,
-    affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
+    pair_start, faces, rival_start, rivals, master, window, size, max_corners, face_start, corner_start, corner_w, ref,
+    limit, convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
 ):  # fmt: skip
     """Cut faces of slaves by the depth cells of faces of masters: the patches of the pairs.
 
     | argument | shape | unit | |
     |---|---|---|---|
-    | pair_start, faces | (n_pairs + 1,), (n, 2) | - | from `geometry.face_pairs` |
+    | pair_start, faces, rival_start, rivals | | - | from `geometry.face_pairs` |
     | master | (n_pairs,) | - | block ids |
     | window | (n_pairs,) | m | patches are made up to this gap |
     | size | (n_pairs,) | m | size of the smaller block |
@@ -507,22 +490,15 @@ def clip_faces(
     key, margins, corners = np.empty((64, 4), np.int32), np.empty(64), np.empty((512, 2))
     miss, miss_face = np.full(n_pairs, np.inf), np.full((n_pairs, 2), -1, np.int32)
     too_deep = np.zeros(n_pairs, np.uint8)
-    most = 0
-    for m in master:
-        most = max(most, face_start[m + 1] - face_start[m])
-    near = np.empty(most, np.int32)
     n_out, n_corners = 0, 0
     for p in range(n_pairs):
         m, h, snap = master[p], window[p], SNAP * size[p]
         prove = not convex[m] and not is_open[m]
-        first, last = face_start[m], face_start[m + 1]
-        all_faces = convex[m] and last - first <= 32
-        reach = np.inf if all_faces else max(4.0 * h, min(limit[first:last].max(), size[p])) + h
-        n_around = _around(faces, pair_start[p], pair_start[p + 1], m, reach, face_start, lower, upper, box, near)
-        around = near[:n_around]
+        around = rivals[rival_start[p] : rival_start[p + 1]]
+        all_faces = len(around) == face_start[m + 1] - face_start[m]
         for row in range(pair_start[p], pair_start[p + 1]):
             a, f = faces[row, 0], faces[row, 1]
-            count, triangle = _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, df, poly, tmp)
+            count, area = _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, df, poly, tmp)
             if count == 0:
                 continue
             n_pieces, margin, lost = _own_cell(
@@ -537,7 +513,7 @@ def clip_faces(
             if n_pieces == 0 and lost < miss[p]:
                 miss[p] = lost
                 miss_face[p, 0], miss_face[p, 1] = a, f
-            smallest = 1e-12 * size[p] * size[p] / triangle
+            smallest = 1e-12 * size[p] * size[p] / area
             for q in range(n_pieces):
                 count, answer = 0, 0
                 if work[q] > 0:
