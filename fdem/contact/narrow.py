@@ -149,15 +149,16 @@ def cut_pairs(
     blocks = np.unique(np.concatenate([slave[which], master[which]])).astype(np.int32)
     geometry.refresh(s, x, blocks)
     size = np.minimum(s.size[slave], s.size[master])[which]
+    most = np.minimum(s.most[slave], s.most[master])[which]
     g = geometry
     near = faces.face_pairs(
         slave[which], master[which], window[which], size, s.face_start, s.corner_start, s.limit, s.convex, g.corner_x,
         g.normal, g.lower, g.upper, g.block_lower, g.block_upper,
     )  # fmt: skip
     key, corners, margin, miss, miss_face, too_deep = clipping.clip_faces(
-        *near, master[which], window[which], size, int(np.diff(s.corner_start).max()), s.face_start, s.corner_start,
-        s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.lower,
-        g.upper,
+        *near, master[which], window[which], size, most, int(np.diff(s.corner_start).max()), s.face_start,
+        s.corner_start, s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind,
+        g.lower, g.upper,
     )  # fmt: skip
     local, face_s, face_m = np.ascontiguousarray(key[:, :3].T)
     start = np.r_[0, key[:, 3]].astype(np.int32)
@@ -175,7 +176,7 @@ def cut_pairs(
     p = Patches(
         pair=pair, face_s=face_s, face_m=face_m, start=start, corners=corners, margin=margin, gp=gp,
         ref_points=np.zeros((n, 3, 2)), ref_ratio=np.zeros(n), offset=offsets(pair, face_s, face_m),
-        flags=np.zeros(n, np.uint8), limit=np.minimum(s.limit[face_m], size[local]), law=np.zeros(n, np.int32),
+        flags=np.zeros(n, np.uint8), limit=np.minimum(s.limit[face_m], most[local]), law=np.zeros(n, np.int32),
         prop=np.zeros(n, np.int32), joint=np.zeros(n, np.int32), points_old=np.zeros((n, 3, 2)),
         active_old=np.zeros(n, np.uint8), memory_old=np.zeros((3 * n, memory)), w_clip=np.zeros((3 * n, 7)),
         reach=np.zeros(n), normal_reach=np.zeros(n),
