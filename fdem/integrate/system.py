@@ -10,6 +10,7 @@ import numpy as np
 
 from fdem.blocks.bounds import Springs
 from fdem.constraints import Constraints
+from fdem.contact.wear import refuse_leaps
 from fdem.errors import UnstableError
 from fdem.loads import Bedding, Dashpot, Load
 from fdem.model import Model
@@ -177,6 +178,7 @@ class System:
         self.current = False
         if self.contacts is not None and self.contacts.update(state.x):
             self.stale = True
+            refuse_leaps(self.contacts, state.x_old, state.x)
 
     def velocity(self) -> np.ndarray:
         """Velocities at the time of the configuration, not half a step behind (n_dofs,)."""
