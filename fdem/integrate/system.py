@@ -223,6 +223,11 @@ class System:
         size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
         return MOTION * size / fastest if fastest > 0.0 else np.inf
 
+    def slow(self, factor: float) -> None:
+        """Multiply all velocities by `factor` < 1; what that takes out counts as damping."""
+        self.damped += 0.5 * (1.0 - factor * factor) * self.scaled_kinetic(self.state.v)
+        self.state.v *= factor
+
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""
         springs, result = self.springs(), np.zeros(self.model.n_blocks)

@@ -171,3 +171,15 @@ def test_nothing_passes_through_a_block_silently(seeds):
             assert "'target'" in str(error) and "'missile'" in str(error)
             refused += 1
     assert refused > 0.8 * len(seeds)
+
+
+@pytest.mark.parametrize("damping", [fdem.Local(), fdem.Adaptive()])
+def test_relaxation_does_not_drop_blocks_through_others(damping):
+    """Fictitious speeds are limited: a slab that falls ten times its size lands, at first contact as at any other."""
+    scene = fdem.Scene()
+    scene.add(fdem.brick((-1, -1, -0.02), (2, 2, 0)), fdem.Rigid(), fixed=True, name="plate")
+    slab = scene.add(fdem.brick((0, 0, 5), (1, 1, 5.1)), fdem.Rigid(), STONE, name="slab")
+    scene.joint(fdem.Coulomb(kn=1e9, ks=1e9, friction=30))
+    sim = fdem.Simulation(scene, fdem.Relaxation(damping=damping), progress=False)
+    assert sim.solve(ratio=1e-6).reason == "equilibrium"
+    assert sim[slab].position[2] == pytest.approx(0.05 - 2000 * 0.1 * 9.81 / 1e9, abs=1e-7)
