@@ -238,10 +238,8 @@ class Explicit:
                 )
         system.stale = False
 
-    def restrain(self, system: Any) -> None:
-        """Keep the step so short that no block moves far unseen."""
-        if self.dt is None:
-            self.step_length = min(self.step_length, system.unseen_motion())
+    def restrain(self, system: Any, dt: float) -> None:
+        """Real velocities stay as they are."""
 
     def limit(self, system: Any) -> float:
         """Largest step known to be stable [s]; infinite without any stiffness."""
@@ -259,6 +257,7 @@ class Explicit:
         system.forces()
         h = system.lag + 0.5 * dt
         self._damping.kick(system, h)
+        self.restrain(system, dt)
         system.commit()
         system.prescribe(dt)
         system.advance(dt)
@@ -267,8 +266,8 @@ class Explicit:
             system.stale = False
             if system.stiffened():
                 self.refresh(system)
-            else:
-                self.restrain(system)
+            elif self.dt is None and not self.scaled:
+                self.step_length = min(self.step_length, system.unseen_motion())
 
 
 @dataclass
@@ -298,11 +297,8 @@ class Relaxation(Explicit):
         """Scale the masses again after contacts have changed."""
         system.scale_masses(_swing(self.damping))
         self.step_length = 2.0 * self.safety
-        self.restrain(system)
         system.stale = False
 
-    def restrain(self, system: Any) -> None:
+    def restrain(self, system: Any, dt: float) -> None:
         """Slow down what falls freely: a fictitious speed may not carry a block unseen into another."""
-        factor = system.unseen_motion() / self.step_length
-        if factor < 1.0:
-            system.slow(factor)
+        system.slow_down(dt)

@@ -77,6 +77,11 @@ class System:
         self.weight = self._weight()
         self._terms = self._choose_terms()
         self._held = constraints.held() if constraints.moving else None
+        mobile = ~model.fixed[model.gp_block]
+        self._radius = float(
+            np.linalg.norm((model.X - model.centroid[model.gp_block])[mobile], axis=1).max(initial=0.0)
+        )
+        self._smallest = float(model.size[~model.fixed].min(initial=np.inf))
 
     def _choose_terms(self) -> tuple[Callable[[], None], ...]:
         """The force terms this scene needs, in order."""
@@ -220,13 +225,38 @@ class System:
         for batch in self.model.batches:
             batch.push(self.state.q, self.state.v, speed)
         fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
-        size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
-        return MOTION * size / fastest if fastest > 0.0 else np.inf
+        return MOTION * self._smallest / fastest if fastest > 0.0 else np.inf
 
-    def slow(self, factor: float) -> None:
-        """Multiply all velocities by `factor` < 1; what that takes out counts as damping."""
-        self.damped += 0.5 * (1.0 - factor * factor) * self.scaled_kinetic(self.state.v)
-        self.state.v *= factor
+    def slow_down(self, dt: float) -> None:
+        """Take away from the velocities what would move a block by more than MOTION of its size in `dt`."""
+        state, model = self.state, self.model
+        if dt * self._speed_bound() <= MOTION * self._smallest:
+            return
+        speed = np.zeros_like(state.x)
+        for batch in model.batches:
+            batch.push(state.q, state.v, speed)
+        path = dt * np.sqrt(np.einsum("ni,ni->n", speed, speed))
+        if not (path > MOTION * model.size[model.gp_block]).any():
+            return
+        longest = np.zeros(model.n_blocks)
+        np.maximum.at(longest, model.gp_block, path)
+        factor = np.minimum(1.0, MOTION * model.size / np.maximum(longest, np.finfo(float).tiny))
+        before = self.scaled_kinetic(state.v)
+        for batch in model.batches:
+            rows = model.gp_block[batch.gridpoints] if batch.in_place else batch.rows
+            v = state.v[batch.dofs].reshape(len(rows), -1)
+            v *= factor[rows][:, None]
+        self.damped += 0.5 * (before - self.scaled_kinetic(state.v))
+
+    def _speed_bound(self) -> float:
+        """At least the largest speed of any gridpoint [m/s], from the unknowns alone."""
+        bound = 0.0
+        for batch in self.model.batches:
+            v = np.abs(self.state.v[batch.dofs])
+            if not batch.in_place:  # translations and rotations in turn
+                v = v.reshape(-1, 3)[::2].max(axis=1) + self._radius * v.reshape(-1, 3)[1::2].max(axis=1)
+            bound = max(bound, 2.0 * float(v.max(initial=0.0)))  # 2 > sqrt(3): of a component
+        return bound
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""
