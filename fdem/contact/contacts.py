@@ -15,7 +15,7 @@ from fdem.contact.history import inherit_history, inherit_laws, known_offsets
 from fdem.contact.laws import LawTable, stiffness_of
 from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
 from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
-from fdem.contact.wear import drifted_pairs, worn_pairs
+from fdem.contact.wear import closing, drifted_pairs, worn_pairs
 from fdem.errors import OverlapError, SceneError
 from fdem.kernels import corners, footprints, joints, memory, upkeep
 from fdem.kernels import patches as kernels
@@ -178,7 +178,10 @@ class Contacts:
         s = self.surfaces
         if self.clip_always:
             return self._redo(x, np.ones(s.n_blocks, bool))
-        if not upkeep.moved(s.surface_gp, s.surface_start, x, self.x_check, self._tolerance):
+        due = np.zeros(len(self.pairs), np.uint8)
+        if not closing(self, x, due) and not upkeep.moved(
+            s.surface_gp, s.surface_start, x, self.x_check, self._tolerance
+        ):
             return False
         motion = np.zeros(s.n_blocks)
         upkeep.block_motion(s.surface_gp, s.surface_start, x, self.x_ref, motion)

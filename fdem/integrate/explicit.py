@@ -238,6 +238,11 @@ class Explicit:
                 )
         system.stale = False
 
+    def restrain(self, system: Any) -> None:
+        """Keep the step so short that no block moves far unseen."""
+        if self.dt is None:
+            self.step_length = min(self.step_length, system.unseen_motion())
+
     def limit(self, system: Any) -> float:
         """Largest step known to be stable [s]; infinite without any stiffness."""
         omega = float(np.sqrt(system.block_frequencies().max(initial=0.0)))
@@ -262,8 +267,8 @@ class Explicit:
             system.stale = False
             if system.stiffened():
                 self.refresh(system)
-            elif self.dt is None and not self.scaled:
-                self.step_length = min(self.step_length, system.unseen_motion())
+            else:
+                self.restrain(system)
 
 
 @dataclass
@@ -293,4 +298,11 @@ class Relaxation(Explicit):
         """Scale the masses again after contacts have changed."""
         system.scale_masses(_swing(self.damping))
         self.step_length = 2.0 * self.safety
+        self.restrain(system)
         system.stale = False
+
+    def restrain(self, system: Any) -> None:
+        """Slow down what falls freely: a fictitious speed may not carry a block unseen into another."""
+        factor = system.unseen_motion() / self.step_length
+        if factor < 1.0:
+            system.slow(factor)

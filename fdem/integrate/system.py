@@ -10,6 +10,7 @@ import numpy as np
 
 from fdem.blocks.bounds import Springs
 from fdem.constraints import Constraints
+from fdem.contact.wear import refuse_leaps
 from fdem.errors import UnstableError
 from fdem.loads import Bedding, Dashpot, Load
 from fdem.model import Model
@@ -177,6 +178,7 @@ class System:
         self.current = False
         if self.contacts is not None and self.contacts.update(state.x):
             self.stale = True
+            refuse_leaps(self.contacts, state.x_old, state.x)
 
     def velocity(self) -> np.ndarray:
         """Velocities at the time of the configuration, not half a step behind (n_dofs,)."""
@@ -220,6 +222,11 @@ class System:
         fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
         size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
         return MOTION * size / fastest if fastest > 0.0 else np.inf
+
+    def slow(self, factor: float) -> None:
+        """Multiply all velocities by `factor` < 1; what that takes out counts as damping."""
+        self.damped += 0.5 * (1.0 - factor * factor) * self.scaled_kinetic(self.state.v)
+        self.state.v *= factor
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""

@@ -456,8 +456,8 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
 
 @kernel
 def clip_faces(
-    pair_start, faces, rival_start, rivals, master, window, size, max_corners, face_start, corner_start, corner_w, ref,
-    limit, convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
+    pair_start, faces, rival_start, rivals, master, window, size, most, max_corners, face_start, corner_start, corner_w,
+    ref, limit, convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
 ):  # fmt: skip
     """Cut faces of slaves by the depth cells of faces of masters: the patches of the pairs.
 
@@ -466,7 +466,7 @@ def clip_faces(
     | pair_start, faces, rival_start, rivals | | - | from `geometry.face_pairs` |
     | master | (n_pairs,) | - | block ids |
     | window | (n_pairs,) | m | patches are made up to this gap |
-    | size | (n_pairs,) | m | size of the smaller block |
+    | size, most | (n_pairs,) | m | size of the smaller block, largest depth that either block admits |
     | others | | | arrays of `Surfaces` and `FaceGeometry` |
 
     Returns
@@ -518,7 +518,7 @@ def clip_faces(
                 count, answer = 0, 0
                 if work[q] > 0:
                     count, answer = _within_limit(
-                        f, m, xs, df, min(limit[f], size[p]), bufs[q], work[q], FALSE_DEPTH * size[p], smallest, snap,
+                        f, m, xs, df, min(limit[f], most[p]), bufs[q], work[q], FALSE_DEPTH * size[p], smallest, snap,
                         prove, affine[m], face_start, corner_start, corner_x, normal, lower, upper, part, tmp, o,
                     )  # fmt: skip
                 if answer == 1:

@@ -12,6 +12,7 @@ import numpy as np
 from fdem._jit import kernel
 
 WHOLE, FACING, DILATES, FLAT = 1, 2, 8, 16  # bits of a patch's flags; FLAT: face against face
+AJAR = 64  # open at its cut and wider than the faces: cut anew when it closes
 ALIGNED = 0.99
 
 
