@@ -319,17 +319,17 @@ class Interfaces:
                 pairs.append((segments[i], segments[j], frozenset(owners[segments[i]] | owners[segments[j]])))
         self.nodes.spread(pairs)
 
-    def _worst(self, links: Iterable[int]) -> set[int]:
-        """The link with the least area, whose loss costs least."""
-        return {min(links, key=lambda k: (self._links_kept[k].area, k))}
+    def _least(self, choices: Iterable[Iterable[int]]) -> set[int]:
+        """The set of links with the least area: its loss costs least."""
+        return set(min(choices, key=lambda links: (sum(self._links_kept[k].area for k in links), sorted(links))))
 
     def _tight(self) -> set[int]:
-        """Links to be given up because they put nodes too close together."""
+        """Links to be given up because they put nodes too close together: all that ask for one of two."""
         bad: set[int] = set()
-        for gap, causes in self.nodes.gaps():
-            guilty = {k for k in causes if gap < self._links_kept[k].limit}
-            if guilty and not guilty & bad:
-                bad |= self._worst(guilty)
+        for gap, nodes in self.nodes.gaps():
+            fine = [links for links in nodes if any(gap < self._links_kept[k].limit for k in links)]
+            if fine and not any(links & bad for links in fine):
+                bad |= self._least(fine)
         return bad
 
     def _divided(self, f: int, partners: list[int]) -> tuple[list[list[int]], set[int]]:
@@ -372,7 +372,7 @@ class Interfaces:
         for cell in rest:
             guilty = {touched[edge] for edge in _directed(cell) if edge in touched}
             if clearance(np.array([xy[v] for v in cell])) < min(_FINE * face.scale, _OWN * face.clear):
-                return [], self._worst(guilty or common)
+                return [], self._least([k] for k in guilty or common)
         total = sum(_area(np.array([xy[v] for v in cell])) for cell in cells + rest)
         if abs(total - face.area) > _LOST * face.area:
             return [], set(common)

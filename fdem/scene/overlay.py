@@ -207,21 +207,22 @@ class Nodes:
         self._points, self._tolerance = points, tolerance
         self._on: dict[Segment, dict[int, frozenset[int]]] = {}
 
-    def add(self, segment: Segment, node: int, cause: frozenset[int]) -> None:
-        """Put a node inside an edge; `cause` says who asked for it."""
-        self._on.setdefault(segment, {}).setdefault(node, cause)
+    def add(self, segment: Segment, node: int, causes: frozenset[int]) -> None:
+        """Put a node inside an edge; `causes` are those who ask for it."""
+        found = self._on.setdefault(segment, {})
+        found[node] = found.get(node, frozenset()) | causes
 
     def spread(self, pairs: list[tuple[Segment, Segment, frozenset[int]]]) -> None:
         """Give the points of every edge to those that run along it, until nothing changes."""
         changed = True
         while changed:
             changed = False
-            for one, other, cause in pairs:
+            for one, other, causes in pairs:
                 for source, target in ((one, other), (other, one)):
                     for node in (*source, *self._on.get(source, ())):
                         known = node in target or node in self._on.get(target, ())
                         if not known and self._within(target, node):
-                            self.add(target, node, cause)
+                            self.add(target, node, causes)
                             changed = True
 
     def _within(self, segment: Segment, node: int) -> bool:
@@ -246,12 +247,12 @@ class Nodes:
         """A loop with the nodes on its edges."""
         return [v for a, b in zip(loop, [*loop[1:], loop[0]], strict=True) for v in (a, *self.between(a, b))]
 
-    def gaps(self) -> list[tuple[float, frozenset[int]]]:
-        """Distances of neighbouring nodes on edges [m] and who asked for either; shortest first."""
+    def gaps(self) -> list[tuple[float, list[frozenset[int]]]]:
+        """Distances of neighbouring points on edges [m], shortest first, and who asked for each that is no end."""
         out = []
         for segment, found in self._on.items():
             chain = [segment[0], *self.between(*segment), segment[1]]
             for a, b in pairwise(chain):
                 length = float(np.linalg.norm(self._points[b] - self._points[a]))
-                out.append((length, found.get(a, frozenset()) | found.get(b, frozenset())))
-        return sorted(out, key=lambda gap: (gap[0], sorted(gap[1])))
+                out.append((length, [found[node] for node in (a, b) if node in found]))
+        return sorted(out, key=lambda gap: (gap[0], [sorted(causes) for causes in gap[1]]))
