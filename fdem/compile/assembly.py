@@ -35,6 +35,8 @@ class Layout:
         Faces of each block as vertex loops (local numbers) with their tags.
     triangles, triangle_tags : list
         Surface triangles of each block (local numbers) with their tags.
+    zone_notes : list of str
+        What is worth telling about the zones.
     """
 
     scene: Scene
@@ -50,6 +52,7 @@ class Layout:
     triangles: list[np.ndarray]
     triangle_tags: list[list[str | None]]
     loads: list[Applied]
+    zone_notes: list[str]
 
     def of_kind(self, kind: str) -> list[int]:
         """Model indices of the blocks of one kind, in order."""
@@ -72,11 +75,13 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
         scene.check(block)
         if callable(getattr(block.material, "density", None)):
             raise UnsupportedError(f"block {block.name!r}: a density that varies in space is not there yet")
-    kind = _kinds(scene, blocks, loads)
+    kinds = dict(zip(everything, _kinds(scene, everything, loads), strict=True))
+    kind = [kinds[block] for block in blocks]
     _refuse_twins(blocks, kind)
     bounds = np.array([block.shape.bounds for block in everything])
     origin = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0))
-    meshes = _zone_meshes(scene, blocks, kind)
+    zoned, zone_notes = _zone_meshes(scene, [block for block in everything if kinds[block] == "zoned"])
+    meshes = [zoned.get(block) for block in blocks]
     points, loops, loop_tags, triangles, triangle_tags = [], [], [], [], []
     for block, mesh in zip(blocks, meshes, strict=True):
         surface = surface_of(block.shape)
@@ -102,8 +107,9 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
         start += len(points[i])
     index = {block: i for i, block in enumerate(blocks)}
     return Layout(
-        scene, blocks, index, kind, meshes, origin, gp_range, points, loops, loop_tags, triangles, triangle_tags, loads
-    )
+        scene, blocks, index, kind, meshes, origin, gp_range, points, loops, loop_tags, triangles, triangle_tags, loads,
+        zone_notes,
+    )  # fmt: skip
 
 
 def _refuse_twins(blocks: list[Block], kind: list[str]) -> None:
@@ -138,20 +144,24 @@ def _kinds(scene: Scene, blocks: list[Block], loads: list[Applied]) -> list[str]
     return kinds
 
 
-def _zone_meshes(scene: Scene, blocks: list[Block], kind: list[str]) -> list[Any]:
-    if "zoned" not in kind:
-        return [None] * len(blocks)
+def _zone_meshes(scene: Scene, blocks: list[Block]) -> tuple[dict[Block, Any], list[str]]:
+    """Zones of the deformable blocks, excavated ones included, and notes on them.
+
+    Neighbours share surface meshes, so the zones of a block depend on all of them: they are a function of the scene
+    alone, kept with it, and an excavation subdivides nothing again.
+    """
+    if not blocks:
+        return {}, []
     from fdem.scene.meshing import zone_meshes
 
-    # meshes belong to the scene, so that an excavation does not subdivide again
-    cache: dict[Any, Any] = scene.__dict__.setdefault("zone_cache", {})
-    chosen = [b for b, k in zip(blocks, kind, strict=True) if k == "zoned"]
-    missing = [b for b in chosen if (b, b.shape, b.body) not in cache]
-    if missing:
-        made = zone_meshes([b.shape for b in chosen], [b.body.size for b in chosen])
-        for block, mesh in zip(chosen, made, strict=True):
-            cache[block, block.shape, block.body] = mesh
-    return [cache[b, b.shape, b.body] if k == "zoned" else None for b, k in zip(blocks, kind, strict=True)]
+    key = [(block, block.shape, block.body) for block in blocks]
+    known = scene.__dict__.get("zone_cache")
+    if known is None or known[0] != key:
+        notes: list[str] = []
+        sizes = [block.body.size for block in blocks]
+        made = zone_meshes([block.shape for block in blocks], sizes, [block.name for block in blocks], notes)
+        known = scene.__dict__["zone_cache"] = (key, dict(zip(blocks, made, strict=True)), notes)
+    return known[1], known[2]
 
 
 def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
@@ -166,7 +176,7 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
     zones, zone_block, zone_start = _zones(layout, zoned)
     volume = np.array([b.shape.volume if not isinstance(b.shape, Surface) else _extent(b) ** 3 for b in layout.blocks])
     density = np.array([0.0 if b.material is None else float(b.material.density) for b in layout.blocks])
-    notes: list[str] = []
+    notes = list(layout.zone_notes)
     deformable = _zoned_batch(layout, zoned, X, zones, zone_start, state, threads, notes) if zoned else None
     body, rigid_mass = _rigid_batch(layout, rigid, X, density) if rigid else (None, np.zeros(0))
     mass = density * volume
