@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdem.contact import response
 from fdem.contact.narrow import Ghosts, Patches
 from fdem.errors import CheckpointError
 from fdem.kernels import joints
@@ -82,8 +83,7 @@ def present(c: Contacts) -> tuple[float, float, float]:
         return c.energy(), c.friction_work, c.damping_work
     work = c.work.copy()
     joints.total_work(c._area, c._work, work)
-    stored = kernels.stored_energy(c._area, c._gap, c._facing, c._memory, c._kn, c._ks, c._active, 0, len(c.patches))
-    return float(stored), float(work[0]), float(work[1])
+    return response.stored(c, c._memory, c._active), float(work[0]), float(work[1])
 
 
 def scatter_between(c: Contacts, chosen: Any, f_gp: Array) -> None:

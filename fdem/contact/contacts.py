@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.contact import startup, table
+from fdem.contact import response, startup, table
 from fdem.contact.broad import REACH, block_skins, candidate_pairs, master_first
 from fdem.contact.history import inherit_history, inherit_laws, known_offsets
 from fdem.contact.laws import LawTable
@@ -18,6 +18,7 @@ from fdem.contact.wear import drifted_pairs, worn_pairs
 from fdem.errors import OverlapError, SceneError
 from fdem.kernels import footprints, joints, memory, upkeep
 from fdem.kernels import patches as kernels
+from fdem.kernels import response as responses
 
 __all__ = ["Contacts", "LawTable"]
 
@@ -93,6 +94,9 @@ class Contacts:
         self.work = np.zeros(2)
         self.n_detections, self.n_cuts = 0, 0
         self._stored: float | None = 0.0
+        self._curved = [k for k, law in enumerate(self.laws) if law.curved]
+        self.curved = bool(self._curved)  # whether some joint stiffens as it closes
+        self.stiffer = False  # whether joints have changed so that the stable step must be found again
         self._trial = False  # whether the working arrays hold a trial that is not committed
         self._filled = False  # whether they hold anything: not between a cut and the next forces
         self.x_ref, self.x_check = x.copy(), x.copy()
@@ -187,7 +191,7 @@ class Contacts:
         worn = worn_pairs(self, x)
         if not worn.any():
             return False
-        self._replace(np.flatnonzero(worn).astype(np.int32), x, self._slip_energies())
+        self._replace(np.flatnonzero(worn).astype(np.int32), x, response.slip_energies(self))
         return True
 
     def _redo(self, x: Array, refreshed: Any) -> bool:
@@ -210,7 +214,7 @@ class Contacts:
         due[at_new] |= worn[at_old] > 0
         self._orient()
         there = new_index[self.patches.pair] >= 0
-        slip = self._slip_energies()
+        slip = response.slip_energies(self)
         self._lose_slip(float(slip[~there].sum()))
         slip = slip[there]
         self.patches = self.patches.take(np.flatnonzero(there))
@@ -223,13 +227,6 @@ class Contacts:
         self.n_detections += 1
         self._replace(np.flatnonzero(due).astype(np.int32), x, slip)
         return True
-
-    def _slip_energies(self) -> Array:
-        """Elastic slip energy (n_patches,) of the last committed state [J]."""
-        p = self.patches
-        length = (p.memory_old[:, :3] ** 2).sum(axis=1)
-        energies: Array = 0.5 * self._ks * (self._area * length).reshape(-1, 3).sum(axis=1) * (p.active_old > 0)
-        return energies
 
     def _lose_slip(self, energy: float) -> None:
         """Count elastic slip energy that goes with its patches as dissipated [J] (negative: it came with new ones)."""
@@ -254,7 +251,9 @@ class Contacts:
             cut = self._cut(which, x, old, raise_deep=OverlapError)
             new = cut.patches
             area = inherit_history(self.surfaces, old, new, x)
-            taken = memory.slip_energy(area, new.memory_old, self._stiffness_of(new)[1], new.active_old)
+            ks = response.given_stiffness(self.laws, new)[1]
+            taken = memory.slip_energy(area, new.memory_old, ks, new.active_old)
+            taken += float(response.held_energy(self.laws, new, area).sum())
             self._lose_slip(float(slip[touched].sum()) - taken)
             merged, ids = cut.patches, np.arange(len(cut.patches))
             if len(kept):
@@ -272,14 +271,6 @@ class Contacts:
         self.x_check[:] = x
         self._prepare()
 
-    def _stiffness_of(self, p: Patches) -> tuple[Array, Array]:
-        """Normal and shear stiffness (n,) of patches [Pa/m]."""
-        kn, ks = np.zeros(len(p)), np.zeros(len(p))
-        for k, law in enumerate(self.laws):
-            mine = p.law == k
-            kn[mine], ks[mine] = law.props[p.prop[mine], 0], law.props[p.prop[mine], 1]
-        return kn, ks
-
     def _prepare(self) -> None:
         p, s = self.patches, self.surfaces
         n = len(p)
@@ -289,10 +280,11 @@ class Contacts:
         self._inverse = np.column_stack(
             [self._inverse_block[self.slave[p.pair]], self._inverse_block[self.master[p.pair]]]
         )
-        self._damped = any(
-            law.damped and self._law_start[k + 1] > self._law_start[k] for k, law in enumerate(self.laws)
-        )
-        self._kn, self._ks = self._stiffness_of(p)
+        present = [law for k, law in enumerate(self.laws) if self._law_start[k + 1] > self._law_start[k]]
+        self._damped, self._armed = any(law.damped for law in present), any(law.arms for law in present)
+        self._kn, self._ks, self._stiffening, self._brittle = response.given_stiffness(self.laws, p)
+        self._fragile = bool(self._brittle.any())
+        self._bound = self._kn.copy()
         self._points, self._active = p.points_old.copy(), np.zeros(n, np.uint8)
         self._memory_start = np.zeros((3 * n, self.n_memory))
         self._memory = np.zeros((3 * n, self.n_memory))
@@ -301,6 +293,8 @@ class Contacts:
         self._slip, self._mass, self._facing = np.zeros((3 * n, 3)), np.zeros(3 * n), np.zeros(n)
         self._pair_area, self._pair_normal = np.zeros(len(self.pairs)), np.zeros((len(self.pairs), 3))
         self._traction, self._work = np.zeros((3 * n, 4)), np.zeros((3 * n, 2))
+        self._arm = np.zeros((3 * n if self._armed else 0, 3))
+        self._response = np.zeros((3 * n if any(law.closure is not None for law in present) else 0, 4))
         self._state = np.full(3 * n, joints.OPEN, np.int8)
         tolerance = 0.25 * self._skins
         reach = 0.25 * np.minimum(p.reach, p.normal_reach)
@@ -359,15 +353,18 @@ class Contacts:
                 p.gp, self._active, p.pair, self._pair_area, self._inverse, self._inverse_gp, self._area, self._w,
                 self._mass,
             )  # fmt: skip
+        if self._armed:
+            responses.arms(p.gp, self._points, self._active, x, self._arm)
         for k, law in enumerate(self.laws):
             lo, hi = self._law_start[k], self._law_start[k + 1]
             if hi > lo:
                 law.sweep(
                     3 * lo, 3 * hi, dt, self._gap, self._push, self._slip, self._normal, self._align, self._area,
-                    self._mass, p.prop, law.props, self._memory_start, self._memory, self._traction, self._work,
-                    self._state,
+                    self._mass, self._arm, p.prop, law.props, self._memory_start, self._memory, self._traction,
+                    self._work, self._state,
                 )  # fmt: skip
         self._trial, self._filled = True, True
+        response.look(self)
         kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._traction, f_gp)
 
     def commit(self) -> None:
@@ -377,6 +374,8 @@ class Contacts:
             self._stored = 0.0
             return
         joints.total_work(self._area, self._work, self.work)
+        if self._fragile:
+            responses.fail(self._active, p.active_old, self._memory, p.memory_old, self._brittle, p.failure)
         # the exchanged arrays are written completely by the next `forces`
         p.memory_old, self._memory = self._memory, p.memory_old
         p.points_old, self._points = self._points, p.points_old
@@ -387,12 +386,7 @@ class Contacts:
     def energy(self) -> float:
         """Elastic energy stored in the joints in the last committed state [J]."""
         if self._stored is None:
-            p = self.patches
-            self._stored = float(
-                kernels.stored_energy(
-                    self._area, self._gap, self._facing, p.memory_old, self._kn, self._ks, p.active_old, 0, len(p)
-                )
-            )
+            self._stored = response.stored(self, self.patches.memory_old, self.patches.active_old)
         return self._stored
 
     @property
@@ -430,6 +424,10 @@ class Contacts:
     def table(self, x: Array) -> dict[str, Any]:
         """Contact table as a dict of arrays; see `table.contact_table`."""
         return table.contact_table(self, x)
+
+    def pace(self, xdot: Array) -> Array:
+        """Time (n_blocks,) [s] in which stiffening joints may close at velocities (n_gp, 3); see `response.pace`."""
+        return response.pace(self, xdot)
 
     def preload(self, x: Array, stress: Array) -> None:
         """Start contact tractions from a stress field; see `table.preload`."""

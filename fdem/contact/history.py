@@ -67,7 +67,7 @@ def inherit_laws(old: Patches, new: Patches, n_faces: int) -> Any:
 
 
 def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) -> Array:
-    """Fill points, activity and memory of `new` patches from `old` ones of the same pairs (CONTACT.md 3.7).
+    """Fill points, activity, memory and failures of `new` patches from `old` ones of the same pairs (CONTACT.md 3.7).
 
     Returns
     -------
@@ -101,4 +101,7 @@ def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) ->
         new.face_m, new.points_old, metric, begin, end, old.face_m,
         old.points_old, old.active_old, old.memory_old, new.active_old, new.memory_old,
     )  # fmt: skip
+    new.failure[found] = old.failure[at[found]]
+    failed = np.maximum(-new.memory_old[:, 3], 0.0).reshape(-1, 3) * (new.active_old > 0)[:, None]
+    new.failure[failed > 0.0] = failed[failed > 0.0]
     return area

@@ -72,6 +72,7 @@ class System:
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
         self._first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
+        self.stiffening = contacts is not None and contacts.curved  # joints whose stiffness grows as they close
         self._keeps_old = contacts is not None or self._load_old is not None
         self.weight = self._weight()
         self._terms = self._choose_terms()
@@ -175,7 +176,7 @@ class System:
         state.step += 1
         self.dt = dt
         self.current = False
-        if self.contacts is not None and self.contacts.update(state.x):
+        if self.contacts is not None and (self.contacts.update(state.x) or self.contacts.stiffer):
             self.stale = True
 
     def velocity(self) -> np.ndarray:
@@ -214,12 +215,38 @@ class System:
 
     def unseen_motion(self) -> float:
         """Longest step [s] in which no block moves so far that a stiff contact goes unseen; infinite at rest."""
+        speed = self._speeds()
+        fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
+        size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
+        longest = MOTION * size / fastest if fastest > 0.0 else np.inf
+        if self.stiffening:
+            self.forces()  # which tell how far the contacts are closed
+            longest = min(longest, float(self.contacts.pace(speed).min(initial=np.inf)))
+        return longest
+
+    def _speeds(self) -> np.ndarray:
         speed = np.zeros_like(self.state.x)
         for batch in self.model.batches:
             batch.push(self.state.q, self.state.v, speed)
-        fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
-        size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
-        return MOTION * size / fastest if fastest > 0.0 else np.inf
+        return speed
+
+    def brake(self, dt: float) -> None:
+        """Slow down blocks that would close a stiffening joint further than it can take in `dt`; fictitious time only.
+
+        Parameters
+        ----------
+        dt : float
+            The step to come.
+        """
+        share = np.minimum(self.contacts.pace(self._speeds()) / dt, 1.0)
+        if (share == 1.0).all():
+            return
+        v, before = self.state.v, self.scaled_kinetic(self.state.v)
+        for batch in self.model.batches:
+            owner = self.model.gp_block[batch.gridpoints] if batch.in_place else batch.rows
+            mine = v[batch.dofs].reshape(len(owner), -1)
+            mine *= share[owner][:, None]
+        self.damped += 0.5 * (before - self.scaled_kinetic(v))
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""

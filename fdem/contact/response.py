@@ -1,0 +1,116 @@
+"""How contacts respond now, whatever their laws: stiffness, energy stored, and how fast they may close.
+
+Laws with ``p = kn depth`` cost nothing here; the others bring a `closure` kernel (kernels/joints.py).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdem.kernels import patches as kernels
+from fdem.kernels import response
+
+if TYPE_CHECKING:
+    from fdem.contact.contacts import Contacts
+    from fdem.contact.narrow import Patches
+
+__all__ = ["given_stiffness", "held_energy", "look", "pace", "slip_energies", "stiffness_now", "stored"]
+
+Array = NDArray[np.float64]
+
+GROWTH = 0.1  # share by which a tangent stiffness may grow until the stable step is found again
+SHARE = 0.1  # of the closure a contact can still take, in one step: its tangent then grows by less than a quarter
+
+
+def given_stiffness(laws: Any, p: Patches) -> tuple[Array, Array, Array, Any]:
+    """Normal and shear stiffness (n,), (n,) [Pa/m] as given, stiffening (n, 2) and brittleness (n,) of patches."""
+    kn, ks, more, brittle = np.zeros(len(p)), np.zeros(len(p)), np.ones((len(p), 2)), np.zeros(len(p), np.uint8)
+    for k, law in enumerate(laws):
+        mine = p.law == k
+        prop = p.prop[mine]
+        kn[mine], ks[mine] = law.props[prop, 0], law.props[prop, 1]
+        more[mine], brittle[mine] = law.stiffening[prop], law.brittle[prop]
+    return kn, ks, more, brittle
+
+
+def stiffness_now(c: Contacts, x: Array) -> tuple[Array, Array]:
+    """Normal and shear stiffness (n,), (n,) [Pa/m] of patches at the present closure; later growth counts from here."""
+    p = c.patches
+    c._bound[:] = c._kn
+    c.stiffer = False
+    if c._curved:
+        gap = np.zeros(3 * len(p))
+        response.whole_gaps(p.gp, p.flags, p.offset, p.active_old, p.memory_old, p.ref_points, x, gap)
+    for k in c._curved:
+        law, patches, rows = c.laws[k], *_slices(c, k)
+        tangent = law.respond(gap[rows], p.prop[patches], p.memory_old[rows])[:, 1]
+        if c._filled:
+            closed = (c._area[rows] > 0.0) * c._response[rows, 1]
+            tangent = np.maximum(tangent, closed)
+        c._bound[patches] = tangent.reshape(-1, 3).max(axis=1)
+    return c._bound * c._stiffening[:, 0], c._ks * c._stiffening[:, 1]
+
+
+def _slices(c: Contacts, k: int) -> tuple[slice, slice]:
+    lo, hi = c._law_start[k], c._law_start[k + 1]
+    return slice(lo, hi), slice(3 * lo, 3 * hi)
+
+
+def look(c: Contacts) -> None:
+    """Ask stiffening laws for their tangents after `forces`; see whether the stable step is still right."""
+    for k in c._curved:
+        law, lo, hi = c.laws[k], c._law_start[k], c._law_start[k + 1]
+        law.closure(3 * lo, 3 * hi, c._gap, c.patches.prop, law.props, c._memory, c._response)
+        c.stiffer |= bool(response.changed(c._area, c._active, c._response, c._bound, lo, hi, GROWTH))
+
+
+def pace(c: Contacts, xdot: Array) -> Array:
+    """Time (n_blocks,) [s] in which blocks close stiffening contacts as far as a step may, at the velocities `xdot`."""
+    p, out = c.patches, np.full(c.surfaces.n_blocks, np.inf)
+    active = c._active if c._trial else p.active_old
+    for k in c._curved:
+        lo, hi = c._law_start[k], c._law_start[k + 1]
+        response.pace(
+            p.gp, p.w_clip, c._closed[3], active, c._gap, c._response, c._kn, c.laws[k].reach, p.prop, c.slave,
+            c.master, p.pair, SHARE, xdot, lo, hi, out,
+        )  # fmt: skip
+    return out
+
+
+def stored(c: Contacts, memory: Array, active: Any) -> float:
+    """Elastic energy [J] of all contacts with the history `memory` at the gaps and areas of the last `forces`."""
+    total = 0.0
+    for k, law in enumerate(c.laws):
+        lo, hi = c._law_start[k], c._law_start[k + 1]
+        if hi == lo:
+            continue
+        if law.closure is None:
+            total += kernels.stored_energy(c._area, c._gap, c._facing, memory, c._kn, c._ks, active, lo, hi)
+        else:
+            law.closure(3 * lo, 3 * hi, c._gap, c.patches.prop, law.props, memory, c._response)
+            total += response.stored(c._area, c._facing, memory, c._ks, active, c._response, lo, hi)
+    return float(total)
+
+
+def slip_energies(c: Contacts) -> Array:
+    """Energy (n_patches,) [J] of the last committed state that lives in the history: what a cut may lose."""
+    p = c.patches
+    length = (p.memory_old[:, :3] ** 2).sum(axis=1)
+    energies: Array = 0.5 * c._ks * (c._area * length).reshape(-1, 3).sum(axis=1) * (p.active_old > 0)
+    return energies + held_energy(c.laws, p, c._area.reshape(-1, 3).sum(axis=1))
+
+
+def held_energy(laws: Any, p: Patches, area: Array) -> Array:
+    """Energy (n,) [J] in the history of patches with `area` (n,) [m2], that of slip left out."""
+    energies = np.zeros(len(p))
+    for k, law in enumerate(laws):
+        mine = np.flatnonzero(p.law == k)
+        if law.closure is None or not len(mine):
+            continue
+        memory = np.ascontiguousarray(p.memory_old.reshape(len(p), 3, -1)[mine].reshape(3 * len(mine), -1))
+        each = law.respond(np.zeros(3 * len(mine)), np.ascontiguousarray(p.prop[mine]), memory)[:, 3]
+        energies[mine] = area[mine] / 3.0 * each.reshape(-1, 3).sum(axis=1) * (p.active_old[mine] > 0)
+    return energies
