@@ -425,9 +425,9 @@ class Contacts:
         """Contact table as a dict of arrays; see `table.contact_table`."""
         return table.contact_table(self, x)
 
-    def pace(self, xdot: Array) -> Array:
-        """Time (n_blocks,) [s] in which stiffening joints may close at velocities (n_gp, 3); see `response.pace`."""
-        return response.pace(self, xdot)
+    def pace(self, xdot: Array, change: Array) -> Array:
+        """Step (n_blocks,) [s] in which stiffening joints close as far as they may; see `response.pace`."""
+        return response.pace(self, xdot, change)
 
     def preload(self, x: Array, stress: Array) -> None:
         """Start contact tractions from a stress field; see `table.preload`."""

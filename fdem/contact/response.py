@@ -67,15 +67,21 @@ def look(c: Contacts) -> None:
         c.stiffer |= bool(response.changed(c._area, c._active, c._response, c._bound, lo, hi, GROWTH))
 
 
-def pace(c: Contacts, xdot: Array) -> Array:
-    """Time (n_blocks,) [s] in which blocks close stiffening contacts as far as a step may, at the velocities `xdot`."""
+def pace(c: Contacts, xdot: Array, change: Array) -> Array:
+    """Step (n_blocks,) [s] in which blocks close stiffening contacts as far as a step may.
+
+    Parameters
+    ----------
+    xdot, change : (n_gp, 3) array
+        The velocities are ``xdot + change t`` for a step t [m/s, m/s^2].
+    """
     p, out = c.patches, np.full(c.surfaces.n_blocks, np.inf)
     active = c._active if c._trial else p.active_old
     for k in c._curved:
         lo, hi = c._law_start[k], c._law_start[k + 1]
         response.pace(
             p.gp, p.w_clip, c._closed[3], active, c._gap, c._response, c._kn, c.laws[k].reach, p.prop, c.slave,
-            c.master, p.pair, SHARE, xdot, lo, hi, out,
+            c.master, p.pair, SHARE, xdot, change, lo, hi, out,
         )  # fmt: skip
     return out
 

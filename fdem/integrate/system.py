@@ -215,20 +215,22 @@ class System:
 
     def unseen_motion(self) -> float:
         """Longest step [s] in which no block moves so far that a stiff contact goes unseen; infinite at rest."""
-        speed = self._speeds()
+        speed = self._pushed(self.state.v)
         fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
         size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
         longest = MOTION * size / fastest if fastest > 0.0 else np.inf
         if self.stiffening:
-            self.forces()  # which tell how far the contacts are closed
-            longest = min(longest, float(self.contacts.pace(speed).min(initial=np.inf)))
+            # forces also tell how far the contacts are closed; the kick of a step t is over lag + t / 2
+            a = self._pushed(self.accelerate(self.forces()))
+            longest = min(longest, float(self.contacts.pace(speed + self.lag * a, 0.5 * a).min(initial=np.inf)))
         return longest
 
-    def _speeds(self) -> np.ndarray:
-        speed = np.zeros_like(self.state.x)
+    def _pushed(self, v: np.ndarray) -> np.ndarray:
+        """Values at gridpoints (n_gp, 3) of generalised velocities or accelerations."""
+        result = np.zeros_like(self.state.x)
         for batch in self.model.batches:
-            batch.push(self.state.q, self.state.v, speed)
-        return speed
+            batch.push(self.state.q, v, result)
+        return result
 
     def brake(self, dt: float) -> None:
         """Slow down blocks that would close a stiffening joint further than it can take in `dt`; fictitious time only.
@@ -238,7 +240,8 @@ class System:
         dt : float
             The step to come.
         """
-        share = np.minimum(self.contacts.pace(self._speeds()) / dt, 1.0)
+        speed = self._pushed(self.state.v)
+        share = np.minimum(self.contacts.pace(speed, np.zeros_like(speed)) / dt, 1.0)
         if (share == 1.0).all():
             return
         v, before = self.state.v, self.scaled_kinetic(self.state.v)

@@ -179,10 +179,15 @@ def coulomb(
             work[i, 0] = 0.5 * a * ks * released
             if plastic > 0.0:
                 state[i] = SLIPPING
-                widened = max(min(dilation * plastic, widest - memory[i, 5]), 0.0) if p > 0.0 else 0.0
-                memory[i, 5] += widened
-                work[i, 0] += a * (limit * plastic - p * widened)
+                work[i, 0] += a * limit * plastic
                 memory[i, 4] += plastic
+                if dilation > 0.0 and p > 0.0:
+                    widened = max(min(dilation * plastic, widest - memory[i, 5]), 0.0)
+                    memory[i, 5] += widened
+                    # each point lifts the whole patch by a third of this
+                    for r in range(3 * q, 3 * q + 3):
+                        if gap[r] < 0.0 or memory_old[r, 3] > 0.0:
+                            work[i, 0] += a * kn * gap[r] * widened / 3.0
         else:
             s0, s1, s2 = s0 + e0, s1 + e1, s2 + e2
         memory[i, 0], memory[i, 1], memory[i, 2] = s0, s1, s2
@@ -373,7 +378,10 @@ def barton_bandis(
         memory[i, 4] += plastic
         memory[i, 5] += widened
         memory[i, 6] = worn + plastic
-        work[i, 0] = 0.5 * a * ks * released + a * (limit * plastic - p * widened)
+        work[i, 0] = 0.5 * a * ks * released + a * limit * plastic
+        if widened > 0.0:
+            for r in range(3 * q, 3 * q + 3):  # each point lifts the whole patch by a third of this
+                work[i, 0] -= a * _hyperbola(max(-gap[r], 0.0), kn, largest)[0] * widened / 3.0
         work[i, 1] = a * extra * (d0 * push[q, 0] + d1 * push[q, 1] + d2 * push[q, 2])
         traction[i, 0] = pressed
         traction[i, 1], traction[i, 2], traction[i, 3] = -ks * s0, -ks * s1, -ks * s2

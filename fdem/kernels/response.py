@@ -79,24 +79,31 @@ def changed(area, active, response, bound, lo, hi, share):
 
 
 @kernel
-def pace(gp, w, face_normal, active, gap, response, kn, reach, prop, slave, master, pair, share, xdot, lo, hi, out):
+def pace(
+    gp, w, face_normal, active, gap, response, kn, reach, prop, slave, master, pair, share, xdot, change, lo, hi, out
+):  # fmt: skip
     """Lower `out` (n_blocks,) [s] to the time in which no patch lo..hi closes beyond `share` of what it can still take.
 
     A stiffening law can take ``reach (kn / k)^(1/2)`` at the tangent stiffness k: the rest of a hyperbola; an open
-    patch its gap as well. `w` (3 n, 7) are row weights, `xdot` (n_gp, 3) velocities, `reach` is one per row of `props`.
+    patch its gap as well. `w` (3 n, 7) are row weights, `reach` is one per row of `props`; the velocities are
+    ``xdot + change t`` (n_gp, 3) for a step t.
     """
     for i in range(lo, hi):
         for row in range(3 * i, 3 * i + 3):
-            closing = 0.0
+            closing, faster = 0.0, 0.0
             for k in range(7):
                 g = gp[i, k]
-                along = xdot[g, 0] * face_normal[i, 0] + xdot[g, 1] * face_normal[i, 1] + xdot[g, 2] * face_normal[i, 2]
-                closing -= w[row, k] * along
-            if closing > 0.0:
+                for d in range(3):
+                    closing -= w[row, k] * xdot[g, d] * face_normal[i, d]
+                    faster -= w[row, k] * change[g, d] * face_normal[i, d]
+            closing, faster = max(closing, 0.0), max(faster, 0.0)
+            if closing > 0.0 or faster > 0.0:
                 left = reach[prop[i]]
                 if active[i]:
                     left *= math.sqrt(kn[i] / response[row, 1])
-                time = (max(gap[row], 0.0) + share * left) / closing
+                left = max(gap[row], 0.0) + share * left
+                # left = closing t + faster t^2
+                time = 2.0 * left / (closing + math.sqrt(closing * closing + 4.0 * faster * left))
                 for b in (slave[pair[i]], master[pair[i]]):
                     out[b] = min(out[b], time)
 

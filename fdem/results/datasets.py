@@ -140,7 +140,7 @@ def contacts(view: Any) -> Any:
     table = view.contact_table()
     points = np.array(table["position"], dtype=np.float64).reshape(-1, 3)
     cloud = pv.PolyData(points) if len(points) else pv.PolyData()
-    for name in table.keys() - {"position", "patch", "frame", "joint_names"}:
+    for name in [key for key in table if key not in ("position", "patch", "frame", "joint_names")]:
         cloud.point_data[name] = np.array(table[name])
     names = {"joint_names": table["joint_names"], "state_names": STATES, "failure_names": FAILURES}
     _describe(cloud, view, **names, block_names=view.model.names)
