@@ -2,9 +2,9 @@
 
     python examples/user_law.py [picture folder]
 
-The two pieces are a data class with the numbers and a kernel over contact points (its arguments: top of
-fdem/kernels/joints.py). With the friction coefficient falling from s to d over the slip D (Ida 1972), dragging a block of
-weight N further than D costs N (d slip + (s - d) D / 2).
+A data class holds the numbers, a kernel goes over contact points (its arguments: top of fdem/kernels/joints.py). With
+a friction coefficient that falls from s to d over the slip D (Ida 1972), dragging a block of weight N further than D
+costs N (d slip + (s - d) D / 2).
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +65,7 @@ DT = 1e-4
 
 def path(steps, knots=KNOTS):
     """Displacements and rotations (n, 6), `steps` from one knot to the next, straight between them."""
-    between = [a + (b - a) * k / steps for a, b in zip(knots, knots[1:], strict=False) for k in range(steps)]
+    between = [a + (b - a) * k / steps for a, b in pairwise(knots) for k in range(steps)]
     return np.array([knots[0] * (k + 1) / steps for k in range(steps)] + between + [knots[-1]])
 
 

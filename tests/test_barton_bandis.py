@@ -138,7 +138,7 @@ def test_relaxation_ends_at_the_exact_closure(force, damping):
 
 
 def test_a_zoned_block_settles_on_the_joint():
-    scene, block = block_on_joint(5e6, zoned=True)
+    scene, _ = block_on_joint(5e6, zoned=True)
     sim = simulation(scene, fdem.Relaxation())
     assert sim.solve(ratio=1e-8).reason == "equilibrium"
     table = sim.contact_table()
@@ -200,7 +200,7 @@ def test_restart_goes_on_bit_for_bit(tmp_path):
 
 
 def test_in_situ_stress_finds_the_closure_that_carries_it():
-    """Stress in a block and in its joint are in balance from the start: nothing moves, tractions are those asked for."""
+    """Stress in a block and in its joint are in balance from the start: nothing moves, tractions are as asked for."""
     scene = fdem.Scene(gravity=(0, 0, 0))
     scene.add(fdem.brick((0, 0, -1), (1, 1, 0)), fdem.Rigid(), fixed=True)
     block = scene.add(fdem.brick((0, 0, 0), (1, 1, 1)), fdem.Zoned(size=1.0), fdem.Elastic(MASS, 1e10, 0.2))

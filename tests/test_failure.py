@@ -1,4 +1,4 @@
-"""How joints fail and what is left: strength lost at the first failure, the mode kept, energy of every path, dilation."""
+"""How joints fail and what is left: strength lost at the first failure, the mode kept, energy of paths, dilation."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from scenes import assert_same_bits, everything, quietly, simulation
 from test_joints import KN, KS, SN, TAN, drive, halves
 
 import fdem
+from fdem.kernels.patches import FACING
 
 INTACT, TENSION, SHEAR = 0, 1, 2
 
@@ -139,10 +140,9 @@ def test_failures_go_along_when_patches_are_cut_anew():
     for step in ([1e-3, 0, 0], *60 * [[5e-3, 2e-3, 0]]):
         drive(w, [step])
         t = w.contacts.table(w.x)
-        pressed = t["traction"][:, 0] > 0.1 * SN
+        pressed = (t["traction"][:, 0] > 0.1 * SN) & ((w.contacts.patches.flags[t["patch"]] & FACING) > 0)
         area = np.bincount(t["failure"][pressed], t["area"][pressed], 3)
-        # a sliver of a patch further from the next old point than it is large has no history (CONTACT.md 3.7)
-        assert area[SHEAR] > 0.95 * area.sum()
+        assert area[SHEAR] == area.sum() > 0.24
     again = w.contacts.state_arrays()
     drive(w, [[0, 0, 1.0]])
     w.contacts.restore(again)
