@@ -142,7 +142,7 @@ def test_failures_go_along_when_patches_are_cut_anew():
         t = w.contacts.table(w.x)
         pressed = (t["traction"][:, 0] > 0.1 * SN) & ((w.contacts.patches.flags[t["patch"]] & FACING) > 0)
         area = np.bincount(t["failure"][pressed], t["area"][pressed], 3)
-        assert area[SHEAR] == area.sum() > 0.24
+        assert area[SHEAR] > 0.995 * area.sum() > 0.24  # the first step meets new faces before bonds have failed
     again = w.contacts.state_arrays()
     drive(w, [[0, 0, 1.0]])
     w.contacts.restore(again)
