@@ -137,12 +137,13 @@ def test_failures_go_along_when_patches_are_cut_anew():
     )
     drive(w, [PRESS])
     assert not w.contacts.table(w.x)["failure"].any()
-    for step in ([1e-3, 0, 0], *60 * [[5e-3, 2e-3, 0]]):
+    drive(w, [[1e-3, 0, 0]])
+    for step in 60 * [[5e-3, 2e-3, 0]]:
         drive(w, [step])
         t = w.contacts.table(w.x)
         pressed = (t["traction"][:, 0] > 0.1 * SN) & ((w.contacts.patches.flags[t["patch"]] & FACING) > 0)
         area = np.bincount(t["failure"][pressed], t["area"][pressed], 3)
-        assert area[SHEAR] > 0.995 * area.sum() > 0.24  # the first step meets new faces before bonds have failed
+        assert area[SHEAR] == area.sum() > 0.24
     again = w.contacts.state_arrays()
     drive(w, [[0, 0, 1.0]])
     w.contacts.restore(again)

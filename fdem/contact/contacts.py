@@ -253,7 +253,7 @@ class Contacts:
             area = inherit_history(self.surfaces, old, new, x)
             ks = response.given_stiffness(self.laws, new)[1]
             taken = memory.slip_energy(area, new.memory_old, ks, new.active_old)
-            taken += float(response.held_energy(self.laws, new, area).sum())
+            taken += float(response.held_energy(self.laws, new).sum())
             self._lose_slip(float(slip[touched].sum()) - taken)
             merged, ids = cut.patches, np.arange(len(cut.patches))
             if len(kept):
@@ -282,7 +282,7 @@ class Contacts:
         )
         present = [law for k, law in enumerate(self.laws) if self._law_start[k + 1] > self._law_start[k]]
         self._damped, self._armed = any(law.damped for law in present), any(law.arms for law in present)
-        self._kn, self._ks, self._stiffening, self._brittle = response.given_stiffness(self.laws, p)
+        self._kn, self._ks, self._brittle = response.given_stiffness(self.laws, p)
         self._fragile = bool(self._brittle.any())
         self._bound = self._kn.copy()
         self._points, self._active = p.points_old.copy(), np.zeros(n, np.uint8)

@@ -35,9 +35,7 @@ def _coulomb(p: Array) -> dict[str, Any]:
 
 
 def _moments(p: Array) -> dict[str, Any]:
-    # the springs of the couples stand beside those of the patch
-    stiffening = 1.0 + (p[:, 10:12] > 0.0)
-    return {**_coulomb(p), "arms": True, "columns": ("rolling", "twisting"), "stiffening": stiffening}
+    return {**_coulomb(p), "arms": True, "columns": ("rolling", "twisting"), "lengths": p[:, 10:12]}
 
 
 def _bonded(p: Array) -> dict[str, Any]:
@@ -87,8 +85,8 @@ class LawTable:
     ----------
     tensile, dilates, brittle : (n_props,) bool arrays
         Which joints carry tension, dilate, and have something to lose by failure.
-    stiffening : (n_props, 2) array
-        Largest stiffness of a patch over kn and ks at no closure.
+    lengths : (n_props, 2) array
+        Rolling and twisting resistance [m], whose springs count for the stable step.
     """
 
     kernel: str | Callable[..., None]
@@ -102,7 +100,7 @@ class LawTable:
         self.props = np.atleast_2d(np.ascontiguousarray(self.props, dtype=float))
         n = len(self.props)
         traits: dict[str, Any] = {name: np.full(n, need in self.needs) for name, need in _ROWWISE}
-        traits |= {"damped": "damping" in self.needs, "arms": "arms" in self.needs, "stiffening": np.ones((n, 2))}
+        traits |= {"damped": "damping" in self.needs, "arms": "arms" in self.needs, "lengths": np.zeros((n, 2))}
         traits |= {"columns": self.columns, "reach": np.full(n, np.inf) if self.reach is None else self.reach}
         if isinstance(self.kernel, str):
             if self.kernel not in KNOWN:
@@ -113,7 +111,7 @@ class LawTable:
         else:
             self.sweep = self.kernel
         self.tensile, self.dilates, self.brittle = traits["tensile"], traits["dilates"], traits["brittle"]
-        self.damped, self.arms, self.stiffening = traits["damped"], traits["arms"], traits["stiffening"]
+        self.damped, self.arms, self.lengths = traits["damped"], traits["arms"], traits["lengths"]
         self.columns, self.reach = tuple(traits["columns"]), np.asarray(traits["reach"], dtype=float)
 
     @property

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
     from fdem.contact.narrow import Patches
 
-__all__ = ["given_stiffness", "held_energy", "look", "pace", "slip_energies", "stiffness_now", "stored"]
+__all__ = ["couples", "given_stiffness", "held_energy", "look", "pace", "slip_energies", "stiffness_now", "stored"]
 
 Array = NDArray[np.float64]
 
@@ -25,19 +25,19 @@ GROWTH = 0.1  # share by which a tangent stiffness may grow until the stable ste
 SHARE = 0.1  # of the closure a contact can still take, in one step: its tangent then grows by less than a quarter
 
 
-def given_stiffness(laws: Any, p: Patches) -> tuple[Array, Array, Array, Any]:
-    """Normal and shear stiffness (n,), (n,) [Pa/m] as given, stiffening (n, 2) and brittleness (n,) of patches."""
-    kn, ks, more, brittle = np.zeros(len(p)), np.zeros(len(p)), np.ones((len(p), 2)), np.zeros(len(p), np.uint8)
+def given_stiffness(laws: Any, p: Patches) -> tuple[Array, Array, Any]:
+    """Normal and shear stiffness (n,), (n,) [Pa/m] of patches as given, and whether they have bonds to lose (n,)."""
+    kn, ks, brittle = np.zeros(len(p)), np.zeros(len(p)), np.zeros(len(p), np.uint8)
     for k, law in enumerate(laws):
         mine = p.law == k
         prop = p.prop[mine]
         kn[mine], ks[mine] = law.props[prop, 0], law.props[prop, 1]
-        more[mine], brittle[mine] = law.stiffening[prop], law.brittle[prop]
-    return kn, ks, more, brittle
+        brittle[mine] = law.brittle[prop]
+    return kn, ks, brittle
 
 
-def stiffness_now(c: Contacts, x: Array) -> tuple[Array, Array]:
-    """Normal and shear stiffness (n,), (n,) [Pa/m] of patches at the present closure; later growth counts from here."""
+def stiffness_now(c: Contacts, x: Array) -> Array:
+    """Normal stiffness (n,) [Pa/m] of patches at the present closure; later growth counts from here."""
     p = c.patches
     c._bound[:] = c._kn
     c.stiffer = False
@@ -51,7 +51,41 @@ def stiffness_now(c: Contacts, x: Array) -> tuple[Array, Array]:
             closed = (c._area[rows] > 0.0) * c._response[rows, 1]
             tangent = np.maximum(tangent, closed)
         c._bound[patches] = tangent.reshape(-1, 3).max(axis=1)
-    return c._bound * c._stiffening[:, 0], c._ks * c._stiffening[:, 1]
+    return c._bound
+
+
+def couples(c: Contacts, x: Array) -> list[tuple[Any, Array, Array, Array]]:
+    """Springs that stand for the couples of patches: ids (m,), points (m, 3, 2), kn (m,), ks (m,) [Pa/m].
+
+    Three springs at ``sqrt(2) (S + L^2)^(1/2) e`` are as stiff against rotation as a rolling length L at ``sqrt(2)
+    S^(1/2) e`` (kernels/joints.py); those of a twisting length resist along the faces.
+    """
+    p, out = c.patches, []
+    e = np.array([[1.0, 0.0], [-0.5, np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)]])
+    for k, law in enumerate(c.laws):
+        for kind in range(2):
+            ids = np.flatnonzero((p.law == k) & ((p.flags & kernels.FACING) > 0))
+            ids = ids[law.lengths[p.prop[ids], kind] > 0.0]
+            if not len(ids):
+                continue
+            length2 = law.lengths[p.prop[ids], kind] ** 2
+            middle = p.ref_points[ids].mean(axis=1, keepdims=True)
+            arm = p.ref_points[ids] - middle
+            a, b, d = (x[p.gp[ids, i]] for i in range(3))
+            edges = np.stack([b - a, d - a], axis=1)
+            j = np.sqrt(2.0) / 3.0 * np.einsum("nqk,nkx,qi->nxi", arm, edges, e)
+            moments = np.einsum("nxi,nxj->nij", j, j)
+            if kind:
+                factor = np.sqrt(1.0 + length2 / np.trace(moments, axis1=1, axis2=2))
+                points = middle + factor[:, None, None] * arm
+            else:
+                values, vectors = np.linalg.eigh(moments)
+                values = np.sqrt(1.0 + length2[:, None] / np.maximum(values, 1e-20 * values[:, 1:]))
+                turn = np.einsum("nik,nk,njk->nij", vectors, values, vectors)
+                points = middle + 2.0 / 3.0 * np.einsum("pi,nij,qj,npk->nqk", e, turn, e, arm)
+            none = np.zeros(len(ids))
+            out.append((ids, points, none if kind else c._kn[ids], c._ks[ids] if kind else none))
+    return out
 
 
 def _slices(c: Contacts, k: int) -> tuple[slice, slice]:
@@ -106,11 +140,11 @@ def slip_energies(c: Contacts) -> Array:
     p = c.patches
     length = (p.memory_old[:, :3] ** 2).sum(axis=1)
     energies: Array = 0.5 * c._ks * (c._area * length).reshape(-1, 3).sum(axis=1) * (p.active_old > 0)
-    return energies + held_energy(c.laws, p, c._area.reshape(-1, 3).sum(axis=1))
+    return energies + held_energy(c.laws, p)
 
 
-def held_energy(laws: Any, p: Patches, area: Array) -> Array:
-    """Energy (n,) [J] in the history of patches with `area` (n,) [m2], that of slip left out."""
+def held_energy(laws: Any, p: Patches) -> Array:
+    """Energy (n,) [J] in the history of patches, that of slip left out."""
     energies = np.zeros(len(p))
     for k, law in enumerate(laws):
         mine = np.flatnonzero(p.law == k)
@@ -118,5 +152,5 @@ def held_energy(laws: Any, p: Patches, area: Array) -> Array:
             continue
         memory = np.ascontiguousarray(p.memory_old.reshape(len(p), 3, -1)[mine].reshape(3 * len(mine), -1))
         each = law.respond(np.zeros(3 * len(mine)), np.ascontiguousarray(p.prop[mine]), memory)[:, 3]
-        energies[mine] = area[mine] / 3.0 * each.reshape(-1, 3).sum(axis=1) * (p.active_old[mine] > 0)
+        energies[mine] = each.reshape(-1, 3).sum(axis=1) * (p.active_old[mine] > 0)
     return energies

@@ -65,8 +65,14 @@ def stiffness(c: Contacts, x: Array) -> tuple[Any, Array, Array, Array, Array]:
     area = _areas(c, x) / 3.0
     normal = _unit(_face_normals(p.gp, x, 1))
     frame = np.repeat(frames(normal), 3, axis=0)
-    kn, ks = response.stiffness_now(c, x)
-    return np.repeat(p.gp, 3, axis=0), w, frame, np.repeat(kn * area, 3), np.repeat(ks * area, 3)
+    parts = [(p.gp, w, frame, response.stiffness_now(c, x) * area, c._ks * area)]
+    for ids, points, kn, ks in response.couples(c, x):
+        more = np.zeros((3 * len(ids), 7))
+        kernels.weights_at(p.gp[ids], c._thick[ids], points, x, more)
+        rows = (3 * ids[:, None] + np.arange(3)).ravel()
+        parts.append((p.gp[ids], more, frame[rows], kn * area[ids], ks * area[ids]))
+    gp, w, frame, kn, ks = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return np.repeat(gp, 3, axis=0), w, frame, np.repeat(kn, 3), np.repeat(ks, 3)
 
 
 def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
@@ -80,9 +86,15 @@ def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
     affine = c.surfaces.affine
     soft = 1 - np.column_stack([affine[c.slave[p.pair]], affine[c.master[p.pair]]])
     facing = (p.flags & kernels.FACING) > 0
-    kn, ks = response.stiffness_now(c, x)
-    k = np.repeat(np.where(facing, np.maximum(kn, ks), kn) * _areas(c, x) / 3.0, 3)
-    upkeep.gridpoint_stiffness(p.gp, w, k, np.asarray(mobile, dtype=bool), soft.astype(np.uint8), out)
+    kn, area = response.stiffness_now(c, x), _areas(c, x) / 3.0
+    mobile, soft = np.asarray(mobile, dtype=bool), soft.astype(np.uint8)
+    k = np.repeat(np.where(facing, np.maximum(kn, c._ks), kn) * area, 3)
+    upkeep.gridpoint_stiffness(p.gp, w, k, mobile, soft, out)
+    for ids, points, kn, ks in response.couples(c, x):
+        more = np.zeros((3 * len(ids), 7))
+        kernels.weights_at(p.gp[ids], c._thick[ids], points, x, more)
+        k = np.repeat(np.maximum(kn, ks) * area[ids], 3)
+        upkeep.gridpoint_stiffness(p.gp[ids], more, k, mobile, soft[ids], out)
     return out
 
 

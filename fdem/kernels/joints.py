@@ -34,7 +34,7 @@ kernel over rows, which must not depend on anything else:
 
     closure(lo, hi, gap, prop, props, memory, out)
 
-`out` (n, 4): pressure [Pa], tangent stiffness [Pa/m], energy of closure [J/m2], other energy but that of slip [J/m2].
+`out` (n, 4): pressure [Pa], tangent stiffness [Pa/m], energy of closure [J/m2], other energy but that of slip [J].
 
 | law | columns of `props` |
 |---|---|
@@ -55,6 +55,7 @@ import numpy as np
 from fdem._jit import kernel
 
 OPEN, SLIPPING, CLOSED, INTACT = 3, 2, 1, 0
+SQRT2, HALF3 = math.sqrt(2.0), math.sqrt(0.75)
 STEEPEST = 70.0  # [deg] of Barton's total friction angle: its logarithm has no bound towards zero stress (Barton 1976)
 
 
@@ -111,6 +112,16 @@ def _part(i, energy, bond, memory, traction, work, state):
 
 
 @kernel
+def _mean_pressure(q, kn, gap, memory):
+    """Mean elastic pressure of patch q: what works on the lift of a point, as a patch is lifted by the mean of three."""
+    total = 0.0
+    for r in range(3 * q, 3 * q + 3):
+        if gap[r] < 0.0 or memory[r, 3] > 0.0:
+            total -= kn * gap[r]
+    return total / 3.0
+
+
+@kernel
 def coulomb(
     lo, hi, dt, gap, push, slip, normal, align, area, mass, arm, prop, props, memory_old, memory, traction, work, state
 ):  # fmt: skip
@@ -131,8 +142,7 @@ def coulomb(
         if j != last:
             last = j
             kn, ks, peak, cohesion, tension = props[j, 0], props[j, 1], props[j, 2], props[j, 3], props[j, 4]
-            residual, residual_cohesion, damping = props[j, 7], props[j, 8], props[j, 9]
-            dilation = props[j, 5]
+            residual, residual_cohesion, damping, dilation = props[j, 7], props[j, 8], props[j, 9], props[j, 5]
             widest = dilation * props[j, 6] if dilation > 0.0 else 0.0
             give = 1.0 / ks if ks > 0.0 else 0.0
             frail = tension > 0.0 or cohesion > residual_cohesion or peak > residual
@@ -184,10 +194,7 @@ def coulomb(
                 if dilation > 0.0 and p > 0.0:
                     widened = max(min(dilation * plastic, widest - memory[i, 5]), 0.0)
                     memory[i, 5] += widened
-                    # each point lifts the whole patch by a third of this
-                    for r in range(3 * q, 3 * q + 3):
-                        if gap[r] < 0.0 or memory_old[r, 3] > 0.0:
-                            work[i, 0] += a * kn * gap[r] * widened / 3.0
+                    work[i, 0] -= a * _mean_pressure(q, kn, gap, memory_old) * widened
         else:
             s0, s1, s2 = s0 + e0, s1 + e1, s2 + e2
         memory[i, 0], memory[i, 1], memory[i, 2] = s0, s1, s2
@@ -218,10 +225,13 @@ def coulomb_moments(
 ):  # fmt: skip
     """Coulomb joint whose patches also resist rolling and twisting (arguments: top of file).
 
-    A patch carries a couple by its three points. Rolling: extra pressures ``kn u``, u being the part of the closing
-    that tilts the faces against each other (it sums to zero). Twisting: extra shear ``ks v`` round the middle of the
-    points, v being the motion of a relative rotation about the normal. Both are cut where the couple reaches a length
-    times the normal force of the patch. Memory 6: u [m], 7: v, its length at the point [m].
+    A patch carries a couple by its three points: zero-sum pressures for rolling, zero-sum shear for twisting. With its
+    area A, its second moments A S about axes in its plane and the lengths L, the elastic couples are ``kn A (S + L^2)``
+    times the relative rotation, and ``ks A (tr S + L^2)`` times the relative twist. So a narrow closed part, an edge or
+    a corner, does not come away without its couple. Both are cut at L times the normal force of the patch.
+
+    Memory 6 and 7: the elastic rotation and twist, scaled so that the energy is ``kn / 3 m^2`` and ``ks / 2 m^2`` added
+    up over the three points: a closed part that moves or shrinks keeps its energy.
     """
     coulomb(
         lo, hi, dt, gap, push, slip, normal, align, area, mass, arm, prop, props, memory_old, memory, traction, work,
@@ -230,64 +240,85 @@ def coulomb_moments(
     for i in range(lo, hi, 3):
         if area[i] == 0.0:
             continue
-        q, rows = i // 3, range(i, i + 3)
-        j = prop[q]
+        q, j = i // 3, prop[i // 3]
         force = 0.0
-        for r in rows:
+        for r in range(i, i + 3):
             force += area[r] * traction[r, 0] if align[r] > 0.0 else 0.0
-        force = max(force, 0.0)
-        n0, n1, n2 = push[q, 0], push[q, 1], push[q, 2]
-        a, kn, ks = area[i], props[j, 0], props[j, 1]
-        old, tilt = 0.0, 0.0
-        for r in rows:
-            old += memory_old[r, 6] / 3.0
-            tilt += (slip[r, 0] * n0 + slip[r, 1] * n1 + slip[r, 2] * n2) / 3.0
+        force, kn, ks = max(force, 0.0), props[j, 0], props[j, 1]
         if props[j, 10] > 0.0:
-            most = props[j, 10] * force
-            shrink = _shrink(i, memory_old[:, 6], -old, arm, a * kn, most)
-            for r in rows:
-                before = memory_old[r, 6] - old
-                work[r, 0] += 0.5 * a * kn * before * before * (1.0 - shrink * shrink)
-                closing = slip[r, 0] * n0 + slip[r, 1] * n1 + slip[r, 2] * n2
-                memory[r, 6] = before * shrink + closing - tilt
-            shrink = _shrink(i, memory[:, 6], 0.0, arm, a * kn, most)
-            for r in rows:
-                work[r, 0] += a * kn * shrink * (1.0 - shrink) * memory[r, 6] * memory[r, 6]
-                memory[r, 6] *= shrink
-                traction[r, 0] += kn * memory[r, 6]
-        polar, twist, turn = 0.0, 0.0, 0.0
-        for r in rows:
-            b0, b1, b2 = arm[r, 0], arm[r, 1], arm[r, 2]
-            length2 = b0 * b0 + b1 * b1 + b2 * b2
-            polar += length2
-            twist += memory_old[r, 7] * math.sqrt(length2)
-            d0, d1, d2 = slip[r, 0], slip[r, 1], slip[r, 2]
-            turn += d0 * (n1 * b2 - n2 * b1) + d1 * (n2 * b0 - n0 * b2) + d2 * (n0 * b1 - n1 * b0)
-        if props[j, 11] > 0.0 and ks > 0.0 and polar > 0.0:
-            most = props[j, 11] * force / (a * ks * polar)
-            twist /= polar
-            held = max(min(twist, most), -most)
-            work[i, 0] += 0.5 * a * ks * polar * (twist * twist - held * held)
-            twist = max(min(held + turn / polar, most), -most)
-            work[i, 0] += a * ks * polar * twist * (held + turn / polar - twist)
-            for r in rows:
-                b0, b1, b2 = arm[r, 0], arm[r, 1], arm[r, 2]
-                memory[r, 7] = twist * math.sqrt(b0 * b0 + b1 * b1 + b2 * b2)
-                traction[r, 1] -= ks * twist * (n1 * b2 - n2 * b1)
-                traction[r, 2] -= ks * twist * (n2 * b0 - n0 * b2)
-                traction[r, 3] -= ks * twist * (n0 * b1 - n1 * b0)
+            _roll(i, push[q], slip, area[i], arm, kn, props[j, 10], force, memory, traction, work)
+        if props[j, 11] > 0.0 and ks > 0.0:
+            _twist(i, push[q], slip, area[i], arm, ks, props[j, 11], force, memory, traction, work)
 
 
 @kernel
-def _shrink(i, u, shift, arm, stiffness, most):
-    """Factor that brings the couple of the extra closings ``u + shift`` [m] of three rows down to `most` [N m]."""
-    m0, m1, m2 = 0.0, 0.0, 0.0
+def _roll(i, n, slip, a, arm, kn, length, force, memory, traction, work):
+    """Rolling of the patch with rows i, i + 1, i + 2 and the area `a` each; memory 6 holds the old state.
+
+    The points are ``arm = sqrt(2) T e`` with T T^t = S and three unit vectors e at 120 degrees; a closing ``g . arm``
+    is ``sqrt(2) h . e`` with h = T^t g, and S + L^2 becomes 1 + L^2 (T^t T)^-1.
+    """
+    b00, b01, b11 = 0.0, 0.0, 0.0
+    for d in range(3):
+        j0 = SQRT2 / 3.0 * (arm[i, d] - 0.5 * (arm[i + 1, d] + arm[i + 2, d]))
+        j1 = SQRT2 / 3.0 * HALF3 * (arm[i + 1, d] - arm[i + 2, d])
+        b00, b01, b11 = b00 + j0 * j0, b01 + j0 * j1, b11 + j1 * j1
+    det, l2 = b00 * b11 - b01 * b01, length * length
+    if not det > 1e-20 * (b00 + b11) ** 2:  # a line of points: no rotation about it can be told
+        det, l2 = 1.0, 0.0
+    s00, s01, s11 = 1.0 + l2 * b11 / det, -l2 * b01 / det, 1.0 + l2 * b00 / det
+    root = math.sqrt(max(s00 * s11 - s01 * s01, 1.0))
+    scale = math.sqrt(3.0 * a / (s00 + s11 + 2.0 * root))  # (s + root 1) scale is the root of 3 a s
+    r00, r01, r11 = (s00 + root) * scale, s01 * scale, (s11 + root) * scale
+    y0 = (2.0 * memory[i, 6] - memory[i + 1, 6] - memory[i + 2, 6]) / 3.0
+    y1 = 2.0 / 3.0 * HALF3 * (memory[i + 1, 6] - memory[i + 2, 6])
+    double = 3.0 * a * root
+    h0, h1 = (r11 * y0 - r01 * y1) / double, (r00 * y1 - r01 * y0) / double
+    most = length * force / (3.0 * a * kn)
+    p0, p1 = s00 * h0 + s01 * h1, s01 * h0 + s11 * h1
+    couple = math.sqrt(b00 * p0 * p0 + 2.0 * b01 * p0 * p1 + b11 * p1 * p1)
+    keep = most / couple if couple > most else 1.0
+    work[i, 0] += 0.5 * kn * (y0 * y0 + y1 * y1) * (1.0 - keep * keep)
+    c0 = slip[i, 0] * n[0] + slip[i, 1] * n[1] + slip[i, 2] * n[2]
+    c1 = slip[i + 1, 0] * n[0] + slip[i + 1, 1] * n[1] + slip[i + 1, 2] * n[2]
+    c2 = slip[i + 2, 0] * n[0] + slip[i + 2, 1] * n[1] + slip[i + 2, 2] * n[2]
+    h0, h1 = keep * h0 + SQRT2 / 3.0 * (c0 - 0.5 * (c1 + c2)), keep * h1 + SQRT2 / 3.0 * HALF3 * (c1 - c2)
+    p0, p1 = s00 * h0 + s01 * h1, s01 * h0 + s11 * h1
+    couple = math.sqrt(b00 * p0 * p0 + 2.0 * b01 * p0 * p1 + b11 * p1 * p1)
+    keep = most / couple if couple > most else 1.0
+    work[i, 0] += 3.0 * a * kn * keep * (1.0 - keep) * (h0 * p0 + h1 * p1)
+    y0, y1 = keep * (r00 * h0 + r01 * h1), keep * (r01 * h0 + r11 * h1)
+    p0, p1 = keep * SQRT2 * kn * p0, keep * SQRT2 * kn * p1
+    memory[i, 6], traction[i, 0] = y0, traction[i, 0] + p0
+    memory[i + 1, 6], traction[i + 1, 0] = -0.5 * y0 + HALF3 * y1, traction[i + 1, 0] - 0.5 * p0 + HALF3 * p1
+    memory[i + 2, 6], traction[i + 2, 0] = -0.5 * y0 - HALF3 * y1, traction[i + 2, 0] - 0.5 * p0 - HALF3 * p1
+
+
+@kernel
+def _twist(i, n, slip, a, arm, ks, length, force, memory, traction, work):
+    """Twisting of the patch with rows i, i + 1, i + 2 and the area `a` each; memory 7 holds the old state."""
+    polar, turn, old = 0.0, 0.0, 0.0
     for r in range(i, i + 3):
-        m0 += (u[r] + shift) * arm[r, 0]
-        m1 += (u[r] + shift) * arm[r, 1]
-        m2 += (u[r] + shift) * arm[r, 2]
-    couple = stiffness * math.sqrt(m0 * m0 + m1 * m1 + m2 * m2)
-    return most / couple if couple > most else 1.0
+        b0, b1, b2 = arm[r, 0], arm[r, 1], arm[r, 2]
+        polar += b0 * b0 + b1 * b1 + b2 * b2
+        turn += slip[r, 0] * (n[1] * b2 - n[2] * b1)
+        turn += slip[r, 1] * (n[2] * b0 - n[0] * b2) + slip[r, 2] * (n[0] * b1 - n[1] * b0)
+        old += memory[r, 7] / 3.0
+    if polar == 0.0:
+        return
+    moment = a * (polar + 3.0 * length * length)
+    stiffness, scale = ks * moment, math.sqrt(moment / 3.0)
+    widest, angle = length * force / stiffness, old / scale
+    held = max(min(angle, widest), -widest)
+    new = max(min(held + turn / polar, widest), -widest)
+    work[i, 0] += 0.5 * stiffness * (angle * angle - held * held) + stiffness * new * (held + turn / polar - new)
+    shear = stiffness * new / (a * polar)
+    for r in range(i, i + 3):
+        b0, b1, b2 = arm[r, 0], arm[r, 1], arm[r, 2]
+        memory[r, 7] = scale * new
+        traction[r, 1] -= shear * (n[1] * b2 - n[2] * b1)
+        traction[r, 2] -= shear * (n[2] * b0 - n[0] * b2)
+        traction[r, 3] -= shear * (n[0] * b1 - n[1] * b0)
 
 
 @kernel
@@ -298,7 +329,7 @@ def coulomb_moments_closure(lo, hi, gap, prop, props, memory, out):
         closed = gap[i] < 0.0 or memory[i, 3] > 0.0
         out[i, 0], out[i, 1] = -kn * gap[i] if closed else 0.0, kn
         out[i, 2] = 0.5 * kn * gap[i] * gap[i] if closed else 0.0
-        out[i, 3] = 0.5 * kn * memory[i, 6] * memory[i, 6] + 0.5 * ks * memory[i, 7] * memory[i, 7]
+        out[i, 3] = kn * memory[i, 6] * memory[i, 6] / 3.0 + 0.5 * ks * memory[i, 7] * memory[i, 7]
 
 
 @kernel
@@ -380,7 +411,7 @@ def barton_bandis(
         memory[i, 6] = worn + plastic
         work[i, 0] = 0.5 * a * ks * released + a * limit * plastic
         if widened > 0.0:
-            for r in range(3 * q, 3 * q + 3):  # each point lifts the whole patch by a third of this
+            for r in range(3 * q, 3 * q + 3):  # see _mean_pressure
                 work[i, 0] -= a * _hyperbola(max(-gap[r], 0.0), kn, largest)[0] * widened / 3.0
         work[i, 1] = a * extra * (d0 * push[q, 0] + d1 * push[q, 1] + d2 * push[q, 2])
         traction[i, 0] = pressed

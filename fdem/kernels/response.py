@@ -59,7 +59,7 @@ def stored(area, facing, memory, ks, active, response, lo, hi):
             continue
         for row in range(3 * i, 3 * i + 3):
             s = memory[row, 0] ** 2 + memory[row, 1] ** 2 + memory[row, 2] ** 2
-            total += area[row] * (response[row, 2] * facing[i] + response[row, 3] + 0.5 * ks[i] * s)
+            total += area[row] * (response[row, 2] * facing[i] + 0.5 * ks[i] * s) + response[row, 3]
     return total
 
 

@@ -113,8 +113,9 @@ class Coulomb(Joint):
     ``traction_n = kn closure``; the shear traction grows with ``ks`` and is cut at
     ``cohesion + traction_n tan(friction)``.
 
-    Rolling and twisting are elastic-plastic. Their springs are those of the patch once more: ``kn`` and ``ks`` times
-    its second moments of area; their couple comes on top of what pressure and friction at its three points give.
+    Rolling and twisting are elastic-plastic, their couple comes on top of what pressure and friction of the patch give.
+    With the area A, its second moments A S and the length L, a relative rotation in the plane of the patch is resisted
+    by ``kn A (S + L^2)``, one about its normal by ``ks A (tr S + L^2)``, until the couple is L times the normal force.
     """
 
     friction: float
