@@ -113,7 +113,7 @@ def _part(i, energy, bond, memory, traction, work, state):
 
 @kernel
 def _mean_pressure(q, kn, gap, memory):
-    """Mean elastic pressure of patch q: what works on the lift of a point, as a patch is lifted by the mean of three."""
+    """Mean elastic pressure of patch q: it works on the lift of a point, as a patch is lifted by the mean of three."""
     total = 0.0
     for r in range(3 * q, 3 * q + 3):
         if gap[r] < 0.0 or memory[r, 3] > 0.0:
@@ -172,16 +172,15 @@ def coulomb(
         if bond > 0.0:
             t0, t1, t2 = s0 + e0, s1 + e1, s2 + e2
             strength = _cone(cohesion, peak, p + extra, facing)
-            if ks * ks * (t0 * t0 + t1 * t1 + t2 * t2) > strength * strength:
-                memory[i, 3] = sheared
-                if p < 0.0:
-                    energy = 0.5 * a * (ks * (s0 * s0 + s1 * s1 + s2 * s2) + kn * gap[i] * gap[i])
-                    _part(i, energy, sheared, memory, traction, work, state)
-                    continue
-            else:
+            if ks * ks * (t0 * t0 + t1 * t1 + t2 * t2) <= strength * strength:
                 limit = strength
-                if cohesion > 0.0 or tension > 0.0:
-                    state[i] = INTACT
+                state[i] = INTACT if cohesion > 0.0 or tension > 0.0 else CLOSED
+            elif p < 0.0:
+                energy = 0.5 * a * (ks * (s0 * s0 + s1 * s1 + s2 * s2) + kn * gap[i] * gap[i])
+                _part(i, energy, sheared, memory, traction, work, state)
+                continue
+            else:
+                memory[i, 3] = sheared
         if limit < 0.0:
             limit = _cone(residual_cohesion, residual, p + extra, facing)
         if limit < math.inf:
