@@ -2,9 +2,8 @@
 
     python examples/user_law.py [picture folder]
 
-A data class holds the numbers, a kernel goes over contact points (its arguments: top of fdem/kernels/joints.py). With
-a friction coefficient that falls from s to d over the slip D (Ida 1972), dragging a block of weight N further than D
-costs N (d slip + (s - d) D / 2).
+A data class with the numbers and a kernel over contact points (arguments: top of fdem/kernels/joints.py). With friction
+that falls from s to d over the slip D (Ida 1972), dragging a weight N further than D costs N (d slip + (s - d) D / 2).
 """
 
 from __future__ import annotations
@@ -13,15 +12,15 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 import fdem
 from fdem.results.plot import history_plot
 
 
 @fdem.kernel
-def weakening(lo, hi, dt, gap, push, slip, normal, align, area, mass, arm, prop, props, old, memory, traction, work, state):  # fmt: skip  # noqa: E501
-    """Linear springs; strength is the pressure times a coefficient that falls with the slip so far (memory 4)."""
+def weakening(
+    lo, hi, dt, gap, push, slip, normal, align, area, mass, arm, prop, props, old, memory, traction, work, state
+):  # fmt: skip
+    """Linear springs; the shear strength is the pressure times a coefficient that falls with the slip (memory 4)."""
     for i in range(lo, hi):
         state[i] = 3  # open
         if area[i] == 0.0:
@@ -29,17 +28,15 @@ def weakening(lo, hi, dt, gap, push, slip, normal, align, area, mass, arm, prop,
         kn, ks, static, dynamic, distance = [props[prop[i // 3], k] for k in range(5)]
         memory[i], work[i] = old[i], 0.0
         pressure = max(-kn * gap[i], 0.0)
-        coefficient = max(static - (static - dynamic) * old[i, 4] / distance, dynamic)
-        limit = coefficient * pressure * align[i] / ks
-        trial = old[i, :3] + slip[i] - (slip[i] * normal[i]).sum() * normal[i]
-        length = np.sqrt((trial**2).sum())
+        limit = max(static - (static - dynamic) * old[i, 4] / distance, dynamic) * pressure * align[i] / ks
+        elastic = old[i, :3] + slip[i] - (slip[i] * normal[i]).sum() * normal[i]
+        length = (elastic**2).sum() ** 0.5
         plastic = max(length - limit, 0.0)
         if plastic > 0.0:
-            trial *= limit / length
+            elastic *= limit / length
             memory[i, 4] += plastic
             work[i, 0] = area[i] * ks * limit * plastic
-        memory[i, :3] = trial
-        traction[i, 0], traction[i, 1:] = pressure, -ks * trial
+        memory[i, :3], traction[i, 0], traction[i, 1:] = elastic, pressure, -ks * elastic
         state[i] = 3 if pressure == 0.0 else 2 if plastic > 0.0 else 1  # open, slipping, closed
 
 
@@ -67,17 +64,14 @@ def main(folder: Path = Path("out")) -> float:
     scene.joint(law)
     settled = fdem.Simulation(scene, fdem.Relaxation())
     settled.solve(ratio=1e-10)
-
     scene.apply(fdem.Velocity((0.02, None, None)), block)
     sim = fdem.Simulation(scene, fdem.Explicit(safety=0.05), start=settled)
     drag = sim.history(lambda s: -s.pair_force("base", block)[0], every=20)
     sim.run(time=0.2)
-
-    slip = sim.contact_table()["slip"].max()
-    weight = 9.81 * sim[block].mass
+    slip, weight = sim.contact_table()["slip"].max(), 9.81 * sim[block].mass
     exact = weight * (law.dynamic * slip + 0.5 * (law.static - law.dynamic) * law.distance)
-    folder.mkdir(parents=True, exist_ok=True)
     drag.name, drag.unit = "drag", "N"
+    folder.mkdir(parents=True, exist_ok=True)
     history_plot(drag, folder / "user_law.png")
     return float(abs(sim.energy.friction / exact - 1))
 
