@@ -31,13 +31,12 @@ def weakening(
         limit = max(static - (static - dynamic) * old[i, 4] / distance, dynamic) * pressure * align[i] / ks
         elastic = old[i, :3] + slip[i] - (slip[i] * normal[i]).sum() * normal[i]
         length = (elastic**2).sum() ** 0.5
-        plastic = max(length - limit, 0.0)
-        if plastic > 0.0:
+        if length > limit:
             elastic *= limit / length
-            memory[i, 4] += plastic
-            work[i, 0] = area[i] * ks * limit * plastic
+            memory[i, 4] += length - limit
+            work[i, 0] = area[i] * ks * limit * (length - limit)
         memory[i, :3], traction[i, 0], traction[i, 1:] = elastic, pressure, -ks * elastic
-        state[i] = 3 if pressure == 0.0 else 2 if plastic > 0.0 else 1  # open, slipping, closed
+        state[i] = 3 if pressure == 0.0 else 2 if length > limit else 1  # open, slipping, closed
 
 
 @dataclass(frozen=True, kw_only=True)
