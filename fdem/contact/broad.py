@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdem.contact.surface import Surfaces
-from fdem.kernels import geometry as kernels
+from fdem.kernels import broad as kernels
 
 __all__ = ["block_skins", "candidate_pairs", "master_first"]
 
@@ -40,7 +40,7 @@ def candidate_pairs(surfaces: Surfaces, x: Array, skins: Array, may_touch: Calla
     points = x[s.surface_gp]
     lower = np.minimum.reduceat(points, s.surface_start[:-1], axis=0)
     upper = np.maximum.reduceat(points, s.surface_start[:-1], axis=0)
-    pairs: Ints = kernels.sweep(lower, upper, REACH * skins, s.fixed)
+    pairs: Ints = kernels.box_pairs(lower, upper, REACH * skins, s.fixed)
     if may_touch is not None and len(pairs):
         pairs = pairs[np.asarray(may_touch(pairs[:, 0], pairs[:, 1]), dtype=bool)]
     return pairs

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from fdem.contact import response, startup, table
 from fdem.contact.broad import REACH, block_skins, candidate_pairs, master_first
+from fdem.contact.corners import pair_corners
 from fdem.contact.history import inherit_history, inherit_laws, known_offsets
-from fdem.contact.laws import LawTable
+from fdem.contact.laws import LawTable, stiffness_of
 from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
 from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
 from fdem.contact.wear import drifted_pairs, worn_pairs
 from fdem.errors import OverlapError, SceneError
-from fdem.kernels import footprints, joints, memory, upkeep
+from fdem.kernels import corners, footprints, joints, memory, upkeep
 from fdem.kernels import patches as kernels
 from fdem.kernels import response as responses
 
@@ -251,8 +252,7 @@ class Contacts:
             cut = self._cut(which, x, old, raise_deep=OverlapError)
             new = cut.patches
             area = inherit_history(self.surfaces, old, new, x)
-            ks = response.given_stiffness(self.laws, new)[1]
-            taken = memory.slip_energy(area, new.memory_old, ks, new.active_old)
+            taken = memory.slip_energy(area, new.memory_old, stiffness_of(self.laws, new)[1], new.active_old)
             taken += float(response.held_energy(self.laws, new).sum())
             self._lose_slip(float(slip[touched].sum()) - taken)
             merged, ids = cut.patches, np.arange(len(cut.patches))
@@ -282,9 +282,11 @@ class Contacts:
         )
         present = [law for k, law in enumerate(self.laws) if self._law_start[k + 1] > self._law_start[k]]
         self._damped, self._armed = any(law.damped for law in present), any(law.arms for law in present)
-        self._kn, self._ks, self._brittle = response.given_stiffness(self.laws, p)
+        self._kn, self._ks = stiffness_of(self.laws, p)
+        self._brittle = response.brittle_of(self.laws, p)
         self._fragile = bool(self._brittle.any())
         self._bound = self._kn.copy()
+        self._corner = pair_corners(self)
         self._points, self._active = p.points_old.copy(), np.zeros(n, np.uint8)
         self._memory_start = np.zeros((3 * n, self.n_memory))
         self._memory = np.zeros((3 * n, self.n_memory))
@@ -308,6 +310,7 @@ class Contacts:
         depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
         self._close_arguments = (p.gp, p.start, p.corners, p.offset, p.flags, p.limit, p.ref_points, p.ref_ratio)
         self._closed = (self._area, self._gap, depth, face_normal)
+        self._face_normal = face_normal
         self._rows = (
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
             self._pair_area, self._pair_normal, depth, face_normal,
@@ -355,6 +358,8 @@ class Contacts:
             )  # fmt: skip
         if self._armed:
             responses.arms(p.gp, self._points, self._active, x, self._arm)
+        if self._corner is not None:
+            corners.corner_energy(p.pair, self._active, self._gap, self._area, self._align, *self._corner)
         for k, law in enumerate(self.laws):
             lo, hi = self._law_start[k], self._law_start[k + 1]
             if hi > lo:
@@ -363,6 +368,12 @@ class Contacts:
                     self._mass, self._arm, p.prop, law.props, self._memory_start, self._memory, self._traction,
                     self._work, self._state,
                 )  # fmt: skip
+        if self._corner is not None:
+            _, _, _, slopes, factor, energy = self._corner
+            corners.corner_tractions(
+                p.pair, self._active, self._gap, self._area, self._face_normal, slopes, factor, self._ks, self._memory,
+                self._traction, self._work, energy,
+            )  # fmt: skip
         self._trial, self._filled = True, True
         response.look(self)
         kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._traction, f_gp)
@@ -401,10 +412,7 @@ class Contacts:
 
     def points(self, x: Array) -> Array:
         """Places of the three points of every whole patch (3 n_patches, 3) [m]."""
-        w = self.patches.ref_points.reshape(-1, 2)
-        w = np.column_stack([1.0 - w.sum(axis=1), w])
-        out: Array = np.einsum("ij,ijk->ik", w, x[np.repeat(self.patches.gp[:, :3], 3, axis=0)])
-        return out
+        return table.whole_points(self.patches, x)
 
     @property
     def n_patches(self) -> int:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from fdem.errors import JointError, SceneError
 from fdem.kernels import joints
 
-__all__ = ["COMMON", "NEEDS", "TAKEN", "LawTable", "try_law"]
+if TYPE_CHECKING:
+    from fdem.contact.narrow import Patches
+
+__all__ = ["COMMON", "NEEDS", "TAKEN", "LawTable", "stiffness_of", "try_law"]
 
 Array = NDArray[np.float64]
 
@@ -80,6 +83,8 @@ class LawTable:
         Normal response and energy, see kernels/joints.py; None: p = kn depth.
     reach : (n_props,) array, optional
         Length [m] over which closure changes the normal stiffness; infinite: it does not.
+    corner : (n_props,) array, optional
+        Least area of a contact [m2] (kernels/corners.py); 0: none.
 
     Attributes
     ----------
@@ -95,10 +100,12 @@ class LawTable:
     needs: frozenset[str] = field(default_factory=frozenset)
     closure: Any = None
     reach: Any = None
+    corner: Array | None = None
 
     def __post_init__(self) -> None:
         self.props = np.atleast_2d(np.ascontiguousarray(self.props, dtype=float))
         n = len(self.props)
+        self.corner = np.zeros(n) if self.corner is None else np.asarray(self.corner, dtype=float)
         traits: dict[str, Any] = {name: np.full(n, need in self.needs) for name, need in _ROWWISE}
         traits |= {"damped": "damping" in self.needs, "arms": "arms" in self.needs, "lengths": np.zeros((n, 2))}
         traits |= {"columns": self.columns, "reach": np.full(n, np.inf) if self.reach is None else self.reach}
@@ -158,6 +165,15 @@ class LawTable:
 
 
 _ROWWISE = (("tensile", "bonds"), ("dilates", "dilation"), ("brittle", "bonds"))
+
+
+def stiffness_of(laws: Sequence[LawTable], p: Patches) -> tuple[Array, Array]:
+    """Normal and shear stiffness (n,) of patches [Pa/m]."""
+    kn, ks = np.zeros(len(p)), np.zeros(len(p))
+    for k, law in enumerate(laws):
+        mine = p.law == k
+        kn[mine], ks[mine] = law.props[p.prop[mine], 0], law.props[p.prop[mine], 1]
+    return kn, ks
 
 
 def try_law(name: str, law: LawTable) -> None:

@@ -152,8 +152,8 @@ def cut_pairs(
     size = np.minimum(s.size[slave], s.size[master])[which]
     g = geometry
     near = faces.face_pairs(
-        slave[which], master[which], window[which], size, s.face_start, s.corner_start, s.limit, g.corner_x, g.normal,
-        g.lower, g.upper, g.block_lower, g.block_upper,
+        slave[which], master[which], window[which], size, s.face_start, s.corner_start, s.limit, s.convex, g.corner_x,
+        g.normal, g.lower, g.upper, g.block_lower, g.block_upper,
     )  # fmt: skip
     key, corners, margin, miss, miss_face, too_deep = clipping.clip_faces(
         *near, master[which], window[which], size, int(np.diff(s.corner_start).max()), s.face_start, s.corner_start,

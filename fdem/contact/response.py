@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdem.contact.corners import stored_in_corners
 from fdem.kernels import patches as kernels
 from fdem.kernels import response
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
     from fdem.contact.narrow import Patches
 
-__all__ = ["couples", "given_stiffness", "held_energy", "look", "pace", "slip_energies", "stiffness_now", "stored"]
+__all__ = ["brittle_of", "couples", "held_energy", "look", "pace", "slip_energies", "stiffness_now", "stored"]
 
 Array = NDArray[np.float64]
 
@@ -25,15 +26,13 @@ GROWTH = 0.1  # share by which a tangent stiffness may grow until the stable ste
 SHARE = 0.1  # of the closure a contact can still take, in one step: its tangent then grows by less than a quarter
 
 
-def given_stiffness(laws: Any, p: Patches) -> tuple[Array, Array, Any]:
-    """Normal and shear stiffness (n,), (n,) [Pa/m] of patches as given, and whether they have bonds to lose (n,)."""
-    kn, ks, brittle = np.zeros(len(p)), np.zeros(len(p)), np.zeros(len(p), np.uint8)
+def brittle_of(laws: Any, p: Patches) -> Any:
+    """Which patches (n,) uint8 have a joint that loses something by failure."""
+    brittle = np.zeros(len(p), np.uint8)
     for k, law in enumerate(laws):
         mine = p.law == k
-        prop = p.prop[mine]
-        kn[mine], ks[mine] = law.props[prop, 0], law.props[prop, 1]
-        brittle[mine] = law.brittle[prop]
-    return kn, ks, brittle
+        brittle[mine] = law.brittle[p.prop[mine]]
+    return brittle
 
 
 def stiffness_now(c: Contacts, x: Array) -> Array:
@@ -122,7 +121,7 @@ def pace(c: Contacts, xdot: Array, change: Array) -> Array:
 
 def stored(c: Contacts, memory: Array, active: Any) -> float:
     """Elastic energy [J] of all contacts with the history `memory` at the gaps and areas of the last `forces`."""
-    total = 0.0
+    total = stored_in_corners(c)
     for k, law in enumerate(c.laws):
         lo, hi = c._law_start[k], c._law_start[k + 1]
         if hi == lo:
@@ -140,6 +139,8 @@ def slip_energies(c: Contacts) -> Array:
     p = c.patches
     length = (p.memory_old[:, :3] ** 2).sum(axis=1)
     energies: Array = 0.5 * c._ks * (c._area * length).reshape(-1, 3).sum(axis=1) * (p.active_old > 0)
+    if c._corner is not None:
+        energies *= c._corner[4][p.pair]
     return energies + held_energy(c.laws, p)
 
 

@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdem.contact import response
+from fdem.contact.corners import felt_areas
 from fdem.contact.laws import COMMON
 from fdem.kernels import joints, upkeep
 from fdem.kernels import patches as kernels
 
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
+    from fdem.contact.narrow import Patches
 
-__all__ = ["contact_table", "frames", "potential_k_gp", "preload", "stiffness"]
+__all__ = ["contact_table", "frames", "potential_k_gp", "preload", "stiffness", "whole_points"]
 
 Array = NDArray[np.float64]
 
@@ -47,6 +49,14 @@ def _areas(c: Contacts, x: Array) -> Array:
     return out
 
 
+def whole_points(p: Patches, x: Array) -> Array:
+    """Places of the three points of every whole patch (3 n_patches, 3) [m]."""
+    w = p.ref_points.reshape(-1, 2)
+    w = np.column_stack([1.0 - w.sum(axis=1), w])
+    out: Array = np.einsum("ij,ijk->ik", w, x[np.repeat(p.gp[:, :3], 3, axis=0)])
+    return out
+
+
 def stiffness(c: Contacts, x: Array) -> tuple[Any, Array, Array, Array, Array]:
     """Rows of all patches as if closed, with the tangent stiffness of the present closure.
 
@@ -62,7 +72,7 @@ def stiffness(c: Contacts, x: Array) -> tuple[Any, Array, Array, Array, Array]:
     p = c.patches
     w = np.zeros((3 * len(p), 7))
     kernels.weights_at(p.gp, c._thick, p.ref_points, x, w)
-    area = _areas(c, x) / 3.0
+    area = felt_areas(c, _areas(c, x)) / 3.0
     normal = _unit(_face_normals(p.gp, x, 1))
     frame = np.repeat(frames(normal), 3, axis=0)
     parts = [(p.gp, w, frame, response.stiffness_now(c, x) * area, c._ks * area)]
@@ -86,7 +96,7 @@ def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
     affine = c.surfaces.affine
     soft = 1 - np.column_stack([affine[c.slave[p.pair]], affine[c.master[p.pair]]])
     facing = (p.flags & kernels.FACING) > 0
-    kn, area = response.stiffness_now(c, x), _areas(c, x) / 3.0
+    kn, area = response.stiffness_now(c, x), felt_areas(c, _areas(c, x)) / 3.0
     mobile, soft = np.asarray(mobile, dtype=bool), soft.astype(np.uint8)
     k = np.repeat(np.where(facing, np.maximum(kn, c._ks), kn) * area, 3)
     upkeep.gridpoint_stiffness(p.gp, w, k, mobile, soft, out)

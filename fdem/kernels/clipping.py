@@ -296,16 +296,18 @@ def _bounds(bufs, work, n_pieces, xs, df, box):
 
 @kernel
 def _rivals(
-    f, m, xs, df, h, snap, n_pieces, convex, affine, face_start, corner_start, corner_x, normal, wall, kind, lower,
-    upper, bufs, work, tmp, part, dg, v, o, box,
+    f, around, xs, df, h, snap, n_pieces, convex, affine, all_faces, corner_start, corner_x, normal, wall, kind,
+    lower, upper, bufs, work, tmp, part, dg, v, o, box,
 ):  # fmt: skip
-    """Take away what other faces of the master are nearer to; number of pieces, margin and miss as in `_own_cell`."""
+    """Take away what other faces of the master are nearer to; number of pieces, margin and miss as in `_own_cell`.
+
+    `around` are the faces that may be: all of a convex master with few of them, else those near the slave.
+    """
     margin, miss = np.inf, np.inf
     near = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
     lo0, lo1, lo2 = box[0, 0] - near, box[0, 1] - near, box[0, 2] - near
     hi0, hi1, hi2 = box[1, 0] + near, box[1, 1] + near, box[1, 2] + near
-    all_faces = convex and face_start[m + 1] - face_start[m] <= 32
-    for g in range(face_start[m], face_start[m + 1]):
+    for g in around:
         if g == f or (not all_faces and (
             lower[g, 0] > hi0 or lower[g, 1] > hi1 or lower[g, 2] > hi2
             or upper[g, 0] < lo0 or upper[g, 1] < lo1 or upper[g, 2] < lo2
@@ -454,14 +456,14 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
 
 @kernel
 def clip_faces(
-    pair_start, faces, master, window, size, max_corners, face_start, corner_start, corner_w, ref, limit, convex,
-    affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
+    pair_start, faces, rival_start, rivals, master, window, size, max_corners, face_start, corner_start, corner_w, ref,
+    limit, convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
 ):  # fmt: skip
     """Cut faces of slaves by the depth cells of faces of masters: the patches of the pairs.
 
     | argument | shape | unit | |
     |---|---|---|---|
-    | pair_start, faces | (n_pairs + 1,), (n, 2) | - | from `geometry.face_pairs` |
+    | pair_start, faces, rival_start, rivals | | - | from `geometry.face_pairs` |
     | master | (n_pairs,) | - | block ids |
     | window | (n_pairs,) | m | patches are made up to this gap |
     | size | (n_pairs,) | m | size of the smaller block |
@@ -492,9 +494,11 @@ def clip_faces(
     for p in range(n_pairs):
         m, h, snap = master[p], window[p], SNAP * size[p]
         prove = not convex[m] and not is_open[m]
+        around = rivals[rival_start[p] : rival_start[p + 1]]
+        all_faces = len(around) == face_start[m + 1] - face_start[m]
         for row in range(pair_start[p], pair_start[p + 1]):
             a, f = faces[row, 0], faces[row, 1]
-            count, triangle = _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, df, poly, tmp)
+            count, area = _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, df, poly, tmp)
             if count == 0:
                 continue
             n_pieces, margin, lost = _own_cell(
@@ -502,14 +506,14 @@ def clip_faces(
             )
             if n_pieces > 0:
                 n_pieces, nearest, lost = _rivals(
-                    f, m, xs, df, h, snap, n_pieces, convex[m], affine[m], face_start, corner_start, corner_x, normal,
-                    wall, kind, lower, upper, bufs, work, tmp, part, dg, v, o, box,
+                    f, around, xs, df, h, snap, n_pieces, convex[m], affine[m], all_faces, corner_start, corner_x,
+                    normal, wall, kind, lower, upper, bufs, work, tmp, part, dg, v, o, box,
                 )  # fmt: skip
                 margin = min(margin, nearest)
             if n_pieces == 0 and lost < miss[p]:
                 miss[p] = lost
                 miss_face[p, 0], miss_face[p, 1] = a, f
-            smallest = 1e-12 * size[p] * size[p] / triangle
+            smallest = 1e-12 * size[p] * size[p] / area
             for q in range(n_pieces):
                 count, answer = 0, 0
                 if work[q] > 0:

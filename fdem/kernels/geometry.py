@@ -9,6 +9,7 @@ import numpy as np
 from fdem._jit import kernel
 
 SMOOTH, SHARP, BORDER = 0, 1, 2  # kinds of edges
+FEW = 32  # faces of a convex block of which none is left out
 
 
 @kernel
@@ -165,47 +166,6 @@ def thickness(face_start, corner_start, corner_x, normal, convex, is_open, out):
 
 
 @kernel
-def sweep(lower, upper, reach, fixed):
-    """Pairs (i < j) of blocks whose boxes, grown by `reach` (n_blocks,) [m], meet; not both fixed. Sorted by id."""
-    n = len(reach)
-    lo, hi = lower.copy(), upper.copy()
-    spread = np.zeros(3)
-    for i in range(n):
-        for d in range(3):
-            lo[i, d] -= reach[i]
-            hi[i, d] += reach[i]
-    for d in range(3):
-        spread[d] = np.std(lo[:, d])
-    axis = np.argmax(spread)
-    order = np.argsort(lo[:, axis], kind="mergesort")
-    out = np.empty((max(16, 8 * n), 2), np.int32)
-    m = 0
-    for k in range(n):
-        i = order[k]
-        for q in range(k + 1, n):
-            j = order[q]
-            if lo[j, axis] > hi[i, axis]:
-                break
-            if fixed[i] and fixed[j]:
-                continue
-            apart = False
-            for d in range(3):
-                if lo[j, d] > hi[i, d] or lo[i, d] > hi[j, d]:
-                    apart = True
-            if apart:
-                continue
-            if m == len(out):
-                grown = np.empty((2 * m, 2), np.int32)
-                grown[:m] = out
-                out = grown
-            out[m, 0], out[m, 1] = min(i, j), max(i, j)
-            m += 1
-    out = out[:m]
-    key = out[:, 0].astype(np.int64) * n + out[:, 1]
-    return out[np.argsort(key, kind="mergesort")]
-
-
-@kernel
 def _overlap(lower, upper, i, j, reach):
     """Whether the boxes i and j (rows of lower, upper), grown by `reach` in all, meet."""
     for d in range(3):
@@ -245,8 +205,25 @@ def _highest(a, f, corner_start, corner_x, normal):
 
 
 @kernel
+def _around(rows, m, reach, face_start, lower, upper, out, n_out):
+    """Append to `out` the faces of block m within `reach` of the slave faces ``rows[:, 0]`` by their boxes."""
+    lo, hi = np.full(3, np.inf), np.full(3, -np.inf)
+    for a in rows[:, 0]:
+        for d in range(3):
+            lo[d], hi[d] = min(lo[d], lower[a, d] - reach), max(hi[d], upper[a, d] + reach)
+    for g in range(face_start[m], face_start[m + 1] if len(rows) > 0 else face_start[m]):
+        if lower[g, 0] <= hi[0] and lower[g, 1] <= hi[1] and lower[g, 2] <= hi[2]:
+            if upper[g, 0] >= lo[0] and upper[g, 1] >= lo[1] and upper[g, 2] >= lo[2]:
+                if n_out == len(out):
+                    out = np.concatenate((out, np.empty_like(out)))
+                out[n_out] = g
+                n_out += 1
+    return out, n_out
+
+
+@kernel
 def face_pairs(
-    slave, master, window, size, face_start, corner_start, limit, corner_x, normal, lower, upper, block_lower,
+    slave, master, window, size, face_start, corner_start, limit, convex, corner_x, normal, lower, upper, block_lower,
     block_upper,
 ):  # fmt: skip
     """Faces of slaves and masters whose boxes are so near that a patch may exist.
@@ -258,9 +235,14 @@ def face_pairs(
     start : (n_pairs + 1,) int64
     faces : (n, 2) int32
         Slave and master face; sorted by pair, master face, slave face.
+    rival_start : (n_pairs + 1,) int64
+    rivals : (n,) int32
+        Faces of every pair's master that may be nearer than another: all of a convex one with few faces (its cells
+        are bounded by all its planes), else those near the slave.
     """
     n_pairs, n_out = len(slave), 0
     start, out = np.zeros(n_pairs + 1, np.int64), np.empty((1024, 2), np.int32)
+    rival_start, rivals, n_rivals = np.zeros(n_pairs + 1, np.int64), np.empty(1024, np.int32), 0
     for p in range(n_pairs):
         s, m, h = slave[p], master[p], window[p]
         near_s = np.empty(face_start[s + 1] - face_start[s], np.int32)
@@ -298,7 +280,13 @@ def face_pairs(
                 n_out += 1
             out[first:n_out, 0] = np.sort(out[first:n_out, 0])
         start[p + 1] = n_out
-    return start, out[:n_out]
+        first, last = face_start[m], face_start[m + 1]
+        reach = max(4.0 * h, min(limit[first:last].max(), size[p])) + h
+        if convex[m] and last - first <= FEW:
+            reach = np.inf
+        rivals, n_rivals = _around(out[start[p] : n_out], m, reach, face_start, lower, upper, rivals, n_rivals)
+        rival_start[p + 1] = n_rivals
+    return start, out[:n_out], rival_start, rivals[:n_rivals]
 
 
 @kernel
