@@ -137,6 +137,19 @@ def test_relaxation_ends_at_the_exact_closure(force, damping):
     np.testing.assert_allclose(-sim[block].displacement[2], closure(force + MASS * G), rtol=1e-7)
 
 
+@pytest.mark.parametrize("shift", [-2e-4, 3e-4])
+def test_closure_counts_from_the_reference_gap(shift):
+    """A gap or an overlap below the tolerance is a closed joint without stress, whose closure starts there."""
+    scene = fdem.Scene(gravity=(0, 0, -G))
+    scene.add(fdem.brick((-1, -1, -1), (2, 2, 0)), fdem.Rigid(), fixed=True)
+    block = scene.add(fdem.brick((0, 0, shift), (1, 1, 1 + shift)), fdem.Rigid(), fdem.Elastic(density=MASS))
+    scene.joint(barton_bandis())
+    scene.apply(fdem.Force((0, 0, -4e6)), block)
+    sim = simulation(scene, fdem.Relaxation())
+    assert sim.solve(ratio=1e-9).converged
+    np.testing.assert_allclose(-sim[block].displacement[2], closure(4e6 + MASS * G), rtol=1e-7)
+
+
 def test_a_zoned_block_settles_on_the_joint():
     scene, _ = block_on_joint(5e6, zoned=True)
     sim = simulation(scene, fdem.Relaxation())
