@@ -111,4 +111,8 @@ def notes(c: Contacts) -> list[str]:
     ]
     if not c._damped:
         lines.append("contact damping: left out, no joint asks for it")
+    if not c._armed:
+        lines.append("contact moments: left out, no joint asks for them")
+    if c.curved:
+        lines.append("joints that stiffen as they close: the step follows their tangent and how fast they close")
     return lines

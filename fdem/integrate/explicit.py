@@ -182,9 +182,9 @@ def _centred(system: Any, h: float, a: np.ndarray, alpha: Any, viscous: np.ndarr
     v[:] = new
 
 
-def _seen(system: Any, dt: float) -> float:
+def _safe(system: Any, dt: float) -> float:
     """Step in which no joint stiffens by more than its law allows."""
-    return min(dt, float(system.unseen_motion()))
+    return min(dt, float(system.safe_closing()))
 
 
 def _unchanged(system: Any, dt: float) -> float:
@@ -241,7 +241,7 @@ class Explicit:
     def start(self, system: Any) -> None:
         """Prepare the damping and find the step."""
         self._damping.start(system)
-        self._shorten = _seen if system.stiffening and self.dt is None and not self.scaled else _unchanged
+        self._shorten = _safe if system.stiffening and self.dt is None and not self.scaled else _unchanged
         self.refresh(system)
 
     def refresh(self, system: Any) -> None:

@@ -218,12 +218,13 @@ class System:
         speed = self._pushed(self.state.v)
         fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
         size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
-        longest = MOTION * size / fastest if fastest > 0.0 else np.inf
-        if self.stiffening:
-            # forces also tell how far the contacts are closed; the kick of a step t is over lag + t / 2
-            a = self._pushed(self.accelerate(self.forces()))
-            longest = min(longest, float(self.contacts.pace(speed + self.lag * a, 0.5 * a).min(initial=np.inf)))
-        return longest
+        return MOTION * size / fastest if fastest > 0.0 else np.inf
+
+    def safe_closing(self) -> float:
+        """Longest step t [s] in which no joint that stiffens closes further than it can take; kicks last lag + t/2."""
+        a = self._pushed(self.accelerate(self.forces()))
+        speed = self._pushed(self.state.v) + self.lag * a
+        return float(self.contacts.pace(speed, 0.5 * a).min(initial=np.inf))
 
     def _pushed(self, v: np.ndarray) -> np.ndarray:
         """Values at gridpoints (n_gp, 3) of generalised velocities or accelerations."""
