@@ -147,7 +147,7 @@ class Simulation(Readout):
     def _step(self, dt: float) -> None:
         self.integrator.step(self.system, dt)
         if self._n_rigid:
-            self.turned += dt * self.state.v[: 6 * self._n_rigid].reshape(-1, 6)[:, 3:]
+            self.turned += self.system.dt * self.state.v[: 6 * self._n_rigid].reshape(-1, 6)[:, 3:]
 
     def _start_progress(self, n: int, end: float | None) -> Any:
         if self._progress is False:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from fdem.compile.assembly import Layout, assemble, in_situ, lay_out
-from fdem.compile.joints import JointTables
 from fdem.compile.loads import compile_loads
 from fdem.compile.select import Selector
 from fdem.compile.supports import compile_constraints
@@ -95,7 +94,8 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
     if model.n_blocks < 2 or model.fixed.all():
         model.notes.append("contacts: left out, there are not two blocks of which one can move")
         return None
-    from fdem.contact.contacts import Contacts, LawTable
+    from fdem.compile.joints import JointTables
+    from fdem.contact.contacts import Contacts
     from fdem.contact.surface import BlockSurface
 
     number = {tag: i for i, tag in enumerate(model.tags)}
@@ -122,7 +122,7 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
         surfaces,
         state.x,
         gp_mass=model.gp_mass,
-        laws=[LawTable(kernel, np.array(rows)) for kernel, rows in zip(tables.kernels, tables.rows, strict=True)],
+        laws=tables.tables(),
         assign=tables.assign,
         gap_tolerance=layout.scene.gap_tolerance,
         names=model.names,

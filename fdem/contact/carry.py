@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.contact.corners import stored_in_corners
+from fdem.contact import response
 from fdem.contact.narrow import Ghosts, Patches
 from fdem.errors import CheckpointError
 from fdem.kernels import joints
@@ -83,8 +83,7 @@ def present(c: Contacts) -> tuple[float, float, float]:
         return c.energy(), c.friction_work, c.damping_work
     work = c.work.copy()
     joints.total_work(c._area, c._work, work)
-    stored = kernels.stored_energy(c._area, c._gap, c._facing, c._memory, c._kn, c._ks, c._active, 0, len(c.patches))
-    return float(stored) + stored_in_corners(c), float(work[0]), float(work[1])
+    return response.stored(c, c._memory, c._active), float(work[0]), float(work[1])
 
 
 def scatter_between(c: Contacts, chosen: Any, f_gp: Array) -> None:
@@ -112,4 +111,8 @@ def notes(c: Contacts) -> list[str]:
     ]
     if not c._damped:
         lines.append("contact damping: left out, no joint asks for it")
+    if not c._armed:
+        lines.append("contact moments: left out, no joint asks for them")
+    if c.curved:
+        lines.append("joints that stiffen as they close: the step follows their tangent and how fast they close")
     return lines

@@ -1,6 +1,6 @@
 """Kernels over the history of contact points: carried along every step, inherited at a cut (CONTACT.md 3.7).
 
-Rows 3 i .. 3 i + 2 are the points of patch i. Columns 0-2 are elastic slip [m], 3 a flag, 4 slip distance, 5 dilation.
+Rows 3 i .. 3 i + 2 are the points of patch i. Columns 0-2 are elastic slip [m], 3 a bond, 4 slip distance, 5 dilation.
 """
 
 from __future__ import annotations
@@ -97,8 +97,9 @@ def inherit(
     """History of new patches from the old ones of the same pair (CONTACT.md 3.7).
 
     The same faces: the linear field of the old points. Else the nearest old point on the same slave face, unless it is
-    further away than the patch is large; then the flag (column 3) stays 0. `begin_old`, `end_old` (n,) bound the old
-    patches of the same pair and slave face; `frames` (n, 3) is the metric (g11, g12, g22) of the reference triangle.
+    further away than the patch is large; then a bond (column 3) does not go along, its failure does. `begin_old`,
+    `end_old` (n,) bound the old patches of the same pair and slave face; `frames` (n, 3) is the metric (g11, g12, g22)
+    of the reference triangle.
     """
     for i in range(len(face_m)):
         if active[i] == 0:
@@ -131,7 +132,7 @@ def inherit(
                 for k in range(memory.shape[1]):
                     memory[row, k] = memory_old[best_row, k]
                 if face_m_old[best_patch] != face_m[i]:
-                    memory[row, 3] = 0.0
+                    memory[row, 3] = min(memory[row, 3], 0.0)
                 found = True
         if not found:
             active[i] = 0

@@ -254,5 +254,7 @@ def stored_energy(area, gap, push_align, memory, kn, ks, active, lo, hi):
             continue
         for row in range(3 * i, 3 * i + 3):
             s = memory[row, 0] ** 2 + memory[row, 1] ** 2 + memory[row, 2] ** 2
-            total += 0.5 * area[row] * (kn[i] * gap[row] ** 2 * push_align[i] + ks[i] * s)
+            # not where a bond has failed and the faces stand apart
+            normal = kn[i] * gap[row] ** 2 * push_align[i] if gap[row] < 0.0 or memory[row, 3] > 0.0 else 0.0
+            total += 0.5 * area[row] * (normal + ks[i] * s)
     return total
