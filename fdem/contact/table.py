@@ -76,8 +76,7 @@ def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
     kernels.weights_at(p.gp, c._thick, p.ref_points, x, w)
     affine = c.surfaces.affine
     soft = 1 - np.column_stack([affine[c.slave[p.pair]], affine[c.master[p.pair]]])
-    facing = (p.flags & kernels.FACING) > 0
-    k = np.repeat(np.where(facing, np.maximum(c._kn, c._ks), c._kn) * _areas(c, x) / 3.0, 3)
+    k = np.repeat(np.maximum(c._kn, c._ks) * _areas(c, x) / 3.0, 3)
     upkeep.gridpoint_stiffness(p.gp, w, k, np.asarray(mobile, dtype=bool), soft.astype(np.uint8), out)
     return out
 

@@ -11,8 +11,6 @@ import numpy as np
 
 from fdem._jit import kernel
 
-FACING = 2  # bit of a patch's flags, see kernels/patches.py
-
 
 @kernel
 def _blend(points, i, old, first, w1, w2, memory, row):
@@ -45,7 +43,7 @@ def _blend(points, i, old, first, w1, w2, memory, row):
 
 
 @kernel
-def carry_memory(gp, flags, x, x_old, points_old, active_old, memory_old, points, active, memory):
+def carry_memory(gp, x, x_old, points_old, active_old, memory_old, points, active, memory):
     """Committed memory moved to the new points, its elastic slip turned with the frame of the slave face.
 
     The frame: first edge e, normal n, their product. A slip s becomes ``sum (s.e_old) e / |e_old||e|`` over the three.
@@ -55,7 +53,7 @@ def carry_memory(gp, flags, x, x_old, points_old, active_old, memory_old, points
         if active[i] == 0:
             continue
         lo = 3 * i
-        if active_old[i] == 0 or not flags[i] & FACING:
+        if active_old[i] == 0:
             for row in range(lo, lo + 3):
                 for k in range(columns):
                     memory[row, k] = 0.0
