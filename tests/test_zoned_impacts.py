@@ -76,11 +76,13 @@ def test_zoned_on_rigid(part):
 
 @pytest.mark.parametrize("part", [pytest.param("corner", marks=pytest.mark.long), "edge", "face"])
 def test_zoned_on_zoned(part):
-    """1e-5. The depth below a face that deforms is no potential: what the step leaves goes with the strain, 1 / E."""
-    soft = impact(part, "zoned")
-    assert soft < 1e-5
+    """1e-5. The depth below a face that deforms is no potential: a loss stays that goes with the strain, 1 / E."""
+    loss = impact(part, "zoned")
+    assert loss < 1e-5
     if part == "face":
-        assert impact(part, "zoned", young=1e11) < soft / 5
+        assert impact(part, "zoned", safety=0.4) < loss / 1.5
+    if part == "corner":
+        assert impact(part, "zoned", young=1e11) < loss / 5
 
 
 @pytest.mark.parametrize("body", ["rigid", "zoned"])

@@ -301,7 +301,7 @@ class Contacts:
         self._slip, self._mass, self._facing = np.zeros((3 * n, 3)), np.zeros(3 * n), np.zeros(n)
         self._cluster = p.clusters()
         cluster_normal = np.zeros((int(self._cluster.max(initial=-1)) + 1, 3))
-        self._pair_area = np.zeros(len(self.pairs))
+        self._pair_area, self._foot = np.zeros(len(self.pairs)), np.zeros((n, 5))
         self._traction, self._work = np.zeros((3 * n, 4)), np.zeros((3 * n, 2))
         self._state = np.full(3 * n, joints.OPEN, np.int8)
         tolerance = 0.25 * self._skins
@@ -318,7 +318,7 @@ class Contacts:
         self._closed = (self._area, self._gap, depth, face_normal)
         self._rows = (
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
-            self._pair_area, cluster_normal, depth, face_normal,
+            self._pair_area, cluster_normal, self._foot, depth, face_normal,
         )  # fmt: skip
 
     # ------------------------------------------------------------------ forces
@@ -372,7 +372,7 @@ class Contacts:
                     self._state,
                 )  # fmt: skip
         self._trial, self._filled = True, True
-        kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._traction, f_gp)
+        kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._foot, self._traction, f_gp)
 
     def commit(self) -> None:
         """Make the last trial the history, and add its dissipation to `work`."""

@@ -73,7 +73,7 @@ def weights_at(gp, thick, points, x, w):
 @kernel
 def fill_rows(
     gp, pair, cluster, thick, x, x_old, points, active, w, gap, area, align, normal, push, slip, facing_out,
-    pair_area, cluster_normal, depth, face_normal,
+    pair_area, cluster_normal, foot, depth, face_normal,
 ):  # fmt: skip
     """Fill the rows of active patches, which the joint laws work on (CONTACT.md 3.5, 3.6).
 
@@ -89,6 +89,7 @@ def fill_rows(
     | slip | (3 n, 3) | m | out: motion of the slave relative to the master since `x_old` |
     | pair_area | (n_pairs,) | m2 | out: closed area |
     | cluster_normal | (n_clusters, 3) | m3 | out: summed normal force over kn |
+    | foot | (n, 5) | - | out: normal of the master face; weights 5 and 6 that leave with weight 7 along it |
     """
     pair_area[:] = 0.0
     cluster_normal[:] = 0.0
@@ -112,6 +113,12 @@ def fill_rows(
         push[i, 0], push[i, 1], push[i, 2] = nx, ny, nz
         facing = -(nx * fx + ny * fy + nz * fz)
         facing_out[i] = facing
+        foot[i, 0], foot[i, 1], foot[i, 2] = fx, fy, fz
+        foot[i, 3], foot[i, 4] = 0.0, 0.0
+        if thick[i]:
+            fall = fx * tet[9] + fy * tet[10] + fz * tet[11]
+            foot[i, 3] = (fx * tet[3] + fy * tet[4] + fz * tet[5]) / fall
+            foot[i, 4] = (fx * tet[6] + fy * tet[7] + fz * tet[8]) / fall
         share = double * area[3 * i] / 6.0
         pair_area[pair[i]] += 3.0 * share
         ax, ay, az = x[a, 0] - x_old[a, 0], x[a, 1] - x_old[a, 1], x[a, 2] - x_old[a, 2]
@@ -194,18 +201,21 @@ def reduced_mass(gp, active, pair, pair_area, inverse_mass, inverse_gp, area, w,
 
 
 @kernel
-def scatter(gp, active, w, area, push, traction, f_gp):
+def scatter(gp, active, w, area, push, foot, traction, f_gp):
     """Add -p a n_a + t a on the slave and the opposite on the master to the gridpoints, serially in row order.
 
-    Weights of a side sum to one, so the first gridpoint gets what the others leave of the force. Forces on a master
-    face are summed as long as patches stay on it.
+    The part across the master's face is moved along itself to the face (`foot` from `fill_rows`): no moment changes,
+    and the pressure on a zoned master is that on its surface, not one from within the zone. Weights of a side sum to
+    one, so the first gridpoint gets what the others leave of the force. Forces on a master face are summed as long as
+    patches stay on it.
     """
     n = len(gp)
     m1x, m1y, m1z, m2x, m2y, m2z, m3x, m3y, m3z, mx, my, mz = 12 * (0.0,)
     for i in range(n):
         if active[i] == 0:
             continue
-        s1x, s1y, s1z, s2x, s2y, s2z, sx, sy, sz = 9 * (0.0,)
+        s1x, s1y, s1z, s2x, s2y, s2z, sx, sy, sz, across = 10 * (0.0,)
+        nx, ny, nz = foot[i, 0], foot[i, 1], foot[i, 2]
         for row in range(3 * i, 3 * i + 3):
             a, p = area[row], traction[row, 0]
             fx = a * (traction[row, 1] - p * push[i, 0])
@@ -219,6 +229,11 @@ def scatter(gp, active, w, area, push, traction, f_gp):
             m1x, m1y, m1z = m1x + v * fx, m1y + v * fy, m1z + v * fz
             m2x, m2y, m2z = m2x + u * fx, m2y + u * fy, m2z + u * fz
             m3x, m3y, m3z = m3x + t * fx, m3y + t * fy, m3z + t * fz
+            across += t * (fx * nx + fy * ny + fz * nz)
+        v, u = across * foot[i, 3], across * foot[i, 4]
+        m1x, m1y, m1z = m1x - v * nx, m1y - v * ny, m1z - v * nz
+        m2x, m2y, m2z = m2x - u * nx, m2y - u * ny, m2z - u * nz
+        m3x, m3y, m3z = m3x - across * nx, m3y - across * ny, m3z - across * nz
         g, h, k = gp[i, 0], gp[i, 1], gp[i, 2]
         f_gp[g, 0] += sx - s1x - s2x
         f_gp[g, 1] += sy - s1y - s2y
