@@ -92,7 +92,7 @@ def scatter_between(c: Contacts, chosen: Any, f_gp: Array) -> None:
     if not len(p):
         return
     mixed = chosen[c.slave[p.pair]] != chosen[c.master[p.pair]]
-    kernels.scatter(p.gp, c._active * mixed.astype(np.uint8), c._w, c._area, c._push, c._traction, f_gp)
+    kernels.scatter(p.gp, c._active * mixed.astype(np.uint8), c._w, c._area, c._push, c._foot, c._traction, f_gp)
 
 
 def reset_slip(c: Contacts) -> None:

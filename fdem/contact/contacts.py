@@ -296,7 +296,9 @@ class Contacts:
         self._w, self._gap, self._area = np.zeros((3 * n, 7)), np.zeros(3 * n), np.zeros(3 * n)
         self._align, self._normal, self._push = np.zeros(3 * n), np.zeros((3 * n, 3)), np.zeros((n, 3))
         self._slip, self._mass, self._facing = np.zeros((3 * n, 3)), np.zeros(3 * n), np.zeros(n)
-        self._pair_area, self._pair_normal = np.zeros(len(self.pairs)), np.zeros((len(self.pairs), 3))
+        self._cluster = p.clusters()
+        cluster_normal = np.zeros((int(self._cluster.max(initial=-1)) + 1, 3))
+        self._pair_area, self._foot = np.zeros(len(self.pairs)), np.zeros((n, 5))
         self._traction, self._work = np.zeros((3 * n, 4)), np.zeros((3 * n, 2))
         self._arm = np.zeros((3 * n if self._armed else 0, 3))
         self._response = np.zeros((3 * n if any(law.closure is not None for law in present) else 0, 4))
@@ -316,7 +318,7 @@ class Contacts:
         self._face_normal = face_normal
         self._rows = (
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
-            self._pair_area, self._pair_normal, depth, face_normal,
+            self._pair_area, cluster_normal, self._foot, depth, face_normal,
         )  # fmt: skip
 
     # ------------------------------------------------------------------ forces
@@ -349,9 +351,11 @@ class Contacts:
                 f"blocks {self.pair_names(p.pair[deep])} overlap by {-self._gap[3 * deep : 3 * deep + 3].min():.3g} m"
                 f", more than their surfaces describe ({p.limit[deep]:.3g} m); joint too soft or step too large"
             )
-        kernels.fill_rows(p.gp, p.flags, p.pair, self._thick, x, x_old, self._points, self._active, *self._rows)
+        kernels.fill_rows(
+            p.gp, p.pair, self._cluster, self._thick, x, x_old, self._points, self._active, *self._rows
+        )  # fmt: skip
         memory.carry_memory(
-            p.gp, p.flags, x, x_old, p.points_old, p.active_old, p.memory_old, self._points, self._active,
+            p.gp, x, x_old, p.points_old, p.active_old, p.memory_old, self._points, self._active,
             self._memory_start,
         )  # fmt: skip
         if self._damped:
@@ -379,7 +383,7 @@ class Contacts:
             )  # fmt: skip
         self._trial, self._filled = True, True
         response.look(self)
-        kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._traction, f_gp)
+        kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._foot, self._traction, f_gp)
 
     def commit(self) -> None:
         """Make the last trial the history, and add its dissipation to `work`."""

@@ -79,10 +79,6 @@ def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) ->
         return area
     order = np.lexsort((old.face_m, old.face_s, old.pair))
     old = old.take(order)
-    old_face = old.pair.astype(np.int64) * surfaces.n_faces + old.face_s
-    new_face = new.pair.astype(np.int64) * surfaces.n_faces + new.face_s
-    begin = np.searchsorted(old_face, new_face, side="left").astype(np.int32)
-    end = np.searchsorted(old_face, new_face, side="right").astype(np.int32)
     at, found = _match(
         old.face_s.astype(np.int64) * surfaces.n_faces + old.face_m,
         new.face_s.astype(np.int64) * surfaces.n_faces + new.face_m,
@@ -95,11 +91,9 @@ def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) ->
         new.gp, new.start, new.corners, new.offset, bonded, new.ref_points, new.ref_ratio, x, new.points_old,
         new.active_old, area,
     )  # fmt: skip
-    e1, e2 = x[new.gp[:, 1]] - x[new.gp[:, 0]], x[new.gp[:, 2]] - x[new.gp[:, 0]]
-    metric = np.column_stack([np.einsum("ij,ij->i", *p) for p in ((e1, e1), (e1, e2), (e2, e2))])
     memory.inherit(
-        new.face_m, new.points_old, metric, begin, end, old.face_m,
-        old.points_old, old.active_old, old.memory_old, new.active_old, new.memory_old,
+        new.pair, new.face_s, new.face_m, new.gp, new.points_old, new.active_old, new.memory_old, old.pair, old.face_s,
+        old.face_m, old.gp, old.points_old, old.active_old, old.memory_old, x,
     )  # fmt: skip
     # failures stay with two faces; where a face meets a new one without a bond, what has failed on it goes along
     worst = np.zeros(len(old) + 1, np.uint8)

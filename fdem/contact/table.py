@@ -95,10 +95,9 @@ def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
     kernels.weights_at(p.gp, c._thick, p.ref_points, x, w)
     affine = c.surfaces.affine
     soft = 1 - np.column_stack([affine[c.slave[p.pair]], affine[c.master[p.pair]]])
-    facing = (p.flags & kernels.FACING) > 0
     kn, area = response.stiffness_now(c, x), felt_areas(c, _areas(c, x)) / 3.0
     mobile, soft = np.asarray(mobile, dtype=bool), soft.astype(np.uint8)
-    k = np.repeat(np.where(facing, np.maximum(kn, c._ks), kn) * area, 3)
+    k = np.repeat(np.maximum(kn, c._ks) * area, 3)
     upkeep.gridpoint_stiffness(p.gp, w, k, mobile, soft, out)
     for ids, points, kn, ks in response.couples(c, x):
         more = np.zeros((3 * len(ids), 7))

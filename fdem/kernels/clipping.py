@@ -82,6 +82,17 @@ def _extremes(poly, n, l0, l1, l2):
 
 
 @kernel
+def _mine(v):
+    """Whether the cell on the positive side of a wall of normal `v` (not short) owns what lies in the wall itself.
+
+    ``-v`` answers differently; round-off does not matter.
+    """
+    if abs(v[0]) > 1e-9:
+        return v[0] > 0.0
+    return v[1] > 0.0 if abs(v[1]) > 1e-9 else v[2] > 0.0
+
+
+@kernel
 def _ratio(poly, n):
     """Area of the polygon over the area of the reference triangle."""
     s = 0.0
@@ -165,7 +176,7 @@ def _own_cell(f, xs, poly, count, snap, convex, corner_start, corner_x, normal, 
             continue
         _plane_values(wall[c], corner_x[c], xs, v)
         low, high = _extremes(poly, count, v[0], v[1], v[2])
-        if high <= snap:
+        if high <= snap and (low < -snap or not _mine(wall[c])):
             return 0, margin, max(-high, 0.0)
         margin = min(margin, max(low, 0.0))
         count = _cut(poly, count, v[0], v[1], v[2], snap, tmp)
@@ -189,6 +200,7 @@ def _own_cell(f, xs, poly, count, snap, convex, corner_start, corner_x, normal, 
             low, high = _extremes(bufs[q], m, v[0], v[1], v[2])
             margin = min(margin, max(low, 0.0))
             if low >= -snap:
+                work[q] = m if high > snap or _mine(wall[c]) else 0
                 continue
             if n_pieces < len(bufs):  # the part beyond the bisector but above the face
                 _copy(bufs[q], m, bufs[n_pieces])
@@ -323,7 +335,9 @@ def _rivals(
             length = math.sqrt(2.0 - 2.0 * cosine)
             v[0], v[1], v[2] = (dg[0] - df[0]) / length, (dg[1] - df[1]) / length, (dg[2] - df[2]) / length
             low, high = _extremes(bufs[0], work[0], v[0], v[1], v[2])
-            if high <= snap:
+            for k in range(3):
+                o[k] = (normal[f, k] - normal[g, k]) / length
+            if high <= snap and (low < -snap or not _mine(o)):
                 return 0, margin, max(-high, 0.0)
             margin = min(margin, max(low, 0.0))
             work[0] = _cut(bufs[0], work[0], v[0], v[1], v[2], snap, tmp)
