@@ -97,6 +97,7 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
     from fdem.compile.joints import JointTables
     from fdem.contact.contacts import Contacts
     from fdem.contact.surface import BlockSurface
+    from fdem.contact.table import whole_points
 
     number = {tag: i for i, tag in enumerate(model.tags)}
     surfaces = []
@@ -129,7 +130,7 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
     )
     if any(isinstance(applied.load, Stress) for applied in layout.loads):
         owner = np.repeat(contacts.slave[contacts.patches.pair], 3)
-        stress = in_situ(layout, contacts.points(state.x) + model.origin, owner)
+        stress = in_situ(layout, whole_points(contacts.patches, state.x) + model.origin, owner)
         assert stress is not None
         contacts.preload(state.x, stress)
     return contacts

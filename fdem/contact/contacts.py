@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdem.contact import response, startup, table
-from fdem.contact.broad import REACH, block_skins, candidate_pairs, master_first
+from fdem.contact.broad import REACH, block_skins, candidate_pairs, common_pairs, master_first
 from fdem.contact.corners import pair_corners
 from fdem.contact.history import inherit_history, inherit_laws, known_offsets
 from fdem.contact.laws import LawTable, stiffness_of
@@ -204,14 +204,9 @@ class Contacts:
         worn, drifted = worn_pairs(self, x), drifted_pairs(self, x)
         old_pairs = self.pairs
         self.pairs = candidate_pairs(self.surfaces, x, self._skins, self.may_touch)
-        n = self.surfaces.n_blocks
-        old_key = old_pairs[:, 0].astype(np.int64) * n + old_pairs[:, 1]
-        key = self.pairs[:, 0].astype(np.int64) * n + self.pairs[:, 1]
-        new_index = np.full(len(old_key), -1, np.int32)
-        _, at_old, at_new = np.intersect1d(old_key, key, assume_unique=True, return_indices=True)
-        new_index[at_old] = at_new
+        at_old, at_new, new_index = common_pairs(old_pairs, self.pairs)
         due = refreshed[self.pairs[:, 0]] | refreshed[self.pairs[:, 1]]
-        known = np.zeros(len(key), bool)
+        known = np.zeros(len(due), bool)
         known[at_new] = True
         due[at_new] &= drifted[at_old]
         due |= ~known
@@ -416,10 +411,6 @@ class Contacts:
     def damping_work(self) -> float:
         """Energy dissipated by the joints' dashpots, committed [J]."""
         return float(self.work[1])
-
-    def points(self, x: Array) -> Array:
-        """Places of the three points of every whole patch (3 n_patches, 3) [m]."""
-        return table.whole_points(self.patches, x)
 
     @property
     def n_patches(self) -> int:

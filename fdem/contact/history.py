@@ -96,6 +96,9 @@ def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) ->
         old.face_m, old.gp, old.points_old, old.active_old, old.memory_old, x,
     )  # fmt: skip
     # failures stay with two faces; where a face meets a new one without a bond, what has failed on it goes along
+    old_face = old.pair.astype(np.int64) * surfaces.n_faces + old.face_s
+    new_face = new.pair.astype(np.int64) * surfaces.n_faces + new.face_s
+    begin, end = (np.searchsorted(old_face, new_face, side=side) for side in ("left", "right"))
     worst = np.zeros(len(old) + 1, np.uint8)
     np.maximum.at(worst, np.searchsorted(old_face, old_face), old.failure.max(axis=1, initial=0))
     new.failure[found] = old.failure[at[found]]

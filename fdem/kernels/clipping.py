@@ -1,8 +1,7 @@
 """The clip that makes contact patches: surfaces of slaves cut by the depth cells of masters (CONTACT.md 3.1-3.3).
 
-A polygon on a slave face lives in the face's reference triangle: a corner is (w1, w2), the weights of the second
-and third reference gridpoint. A linear function in space is, on the face, given by its three values there; clipping
-a polygon by a plane needs nothing else. The same numbers hold in every affinely deformed position.
+A polygon on a slave face lives in the face's reference triangle: a corner is (w1, w2), the weights of the second and
+third reference gridpoint. A linear function in space is given on the face by its three values there: all a clip needs.
 
 The depth field of a master is ``d(x) = min over its faces g with x in R_g of n_g . (c_g - x)``. For convex masters
 ``R_g`` is everything, so cells are bounded by the bisectors with all other faces. For other masters ``R_g`` is bounded
@@ -311,10 +310,7 @@ def _rivals(
     f, around, xs, df, h, snap, n_pieces, convex, affine, all_faces, corner_start, corner_x, normal, wall, kind,
     lower, upper, bufs, work, tmp, part, dg, v, o, box,
 ):  # fmt: skip
-    """Take away what other faces of the master are nearer to; number of pieces, margin and miss as in `_own_cell`.
-
-    `around` are the faces that may be: all of a convex master with few of them, else those near the slave.
-    """
+    """Take away what the faces `around` of the master are nearer to; number of pieces, margin, miss as `_own_cell`."""
     margin, miss = np.inf, np.inf
     near = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
     lo0, lo1, lo2 = box[0, 0] - near, box[0, 1] - near, box[0, 2] - near
