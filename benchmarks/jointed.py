@@ -172,8 +172,9 @@ def main() -> None:
                     f"  {kind:7s} {seconds:5.1f} s to mesh, {sum(len(s.tets) for s in zoned):6d} zones, "
                     f"{sum(len(boundary_facets(s.tets)) for s in zoned):6d} triangles, altitude {quality(zoned):.3f} m;"
                     f" {pairs} touching pairs, patches {int(flat.sum()):6d} face to face "
-                    f"({first / flat.sum():.2f} x fewer), {n_patches:6d} in all; step {1e3 * step:6.2f} ms, contact {share:.2f}; detection "
-                    f"{spent['update'] / total:.3f} of {cycles} cycles ({slow.system.contacts.n_patches} patches then)",
+                    f"({first / flat.sum():.2f} x fewer), {n_patches:6d} in all; step {1e3 * step:6.2f} ms, "
+                    f"contact {share:.2f}; detection {spent['update'] / total:.3f} of {cycles} cycles "
+                    f"({slow.system.contacts.n_patches} patches then)",
                     flush=True,
                 )
 

@@ -15,6 +15,7 @@ from fdem import checkpoint
 from fdem.compile import Compiled, compile_scene
 from fdem.contact import carry
 from fdem.errors import FdemWarning, SceneError
+from fdem.guard import CHECK_EVERY, Guard
 from fdem.integrate.explicit import Explicit, Relaxation
 from fdem.integrate.system import System
 from fdem.loads import Release
@@ -27,8 +28,6 @@ from fdem.stopping import Report, Watch
 from fdem.views import BlockView, GridpointView, LoadView
 
 __all__ = ["Report", "Simulation", "load"]
-
-CHECK_EVERY = 100  # steps between two looks for values that are not finite and for energy growth
 
 
 class Simulation(Readout):
@@ -76,7 +75,7 @@ class Simulation(Readout):
         self._threads, self._progress = threads or 1, progress
         self.ledger = Ledger() if energy else None
         self._observers: list[Any] = []
-        self._suspect: tuple[int, float] | None = None  # step and error at which energy began to grow
+        self._guard = Guard()
         self._applied: dict[Applied, Applied] = {handle: replace(handle) for handle in scene.loads}
         self._removed: frozenset[str] = frozenset()
         self._releases: list[tuple[np.ndarray, np.ndarray, int, int]] = []
@@ -137,7 +136,7 @@ class Simulation(Readout):
             while self.state.step < target and (end is None or end - self.state.t > 1e-6 * self.dt):
                 self._step(self.dt if end is None else _fit(self.dt, end - self.state.t))
                 done += 1
-            self._check()
+            self._guard.look(self)
             for observer, step in zip(observers, due, strict=True):
                 if step <= self.state.step:
                     observer.record(self)
@@ -160,34 +159,6 @@ class Simulation(Readout):
             return None
         progress.start(self)
         return progress
-
-    def _check(self) -> None:
-        self.system.check()
-        deformable = self.model.deformable
-        if deformable is not None and (inverted := deformable.first_inverted(self.state.x)) is not None:
-            block = self.model.names[int(np.flatnonzero(self.model.zoned)[inverted[0]])]
-            gp = int(deformable.nodes_of(*inverted)[0])
-            self.system.unstable(gp, f"zone {inverted[1]} of block {block!r} is turned inside out")
-        if self.ledger is not None and not self.integrator.scaled:
-            self._check_energy()
-
-    def _check_energy(self) -> None:
-        """Refuse energy that grows; a load that sets in looks like it for a step, so it must go on growing."""
-        assert self.ledger is not None
-        entry, suspect = self.energy, self._suspect
-        # round-off of balanced forces does work too: it is no growth
-        noise = 1e-12 * self.system.largest_force() * float(self.model.size.max())
-        if entry.closure == 0.0 or entry.error <= max(0.5 * self.ledger.turned, noise):
-            self._suspect = None
-        elif suspect is None or entry.error < suspect[1]:
-            self._suspect = self.state.step, entry.error
-        elif self.state.step - suspect[0] >= CHECK_EVERY:
-            speed = np.linalg.norm(self.velocities(), axis=1)
-            self.system.unstable(
-                int(np.argmax(speed)),
-                f"energy has grown by {entry.error:.3g} J of {self.ledger.turned:.3g} J turned over; "
-                f"the stable step is {self.integrator.limit(self.system):.4g} s",
-            )
 
     def cycle(self, n: int) -> None:
         """Advance by `n` steps."""

@@ -124,6 +124,7 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
         state.x,
         gp_mass=model.gp_mass,
         laws=tables.tables(),
+        numerical=tables.numerical,
         assign=tables.assign,
         gap_tolerance=layout.scene.gap_tolerance,
         names=model.names,

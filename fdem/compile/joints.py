@@ -50,6 +50,8 @@ class JointTables:
         self.kinds: list[Joint] = []  # the first law of each kind: of one class, with one kernel
         self.rows: list[list[tuple[float, ...]]] = []
         self.reach: list[list[float]] = []
+        self.corner: list[list[float]] = []
+        self.numerical = False  # whether some stiffness was chosen here
         self.location: list[tuple[int, int]] = []
         self._pairs: dict[int, int] = {}
         for rule in self.rules:
@@ -59,10 +61,12 @@ class JointTables:
                 self.kinds.append(law)
                 self.rows.append([])
                 self.reach.append([])
+                self.corner.append([])
             self.location.append((place, len(self.rows[place])))
             self.rows[place].append(_row(law, *self._stiffness(rule), self.rows[place]))
             reach = number(type(law).__name__, "reach", law.reach, low=0.0, open_low=True, infinite=True)
             self.reach[place].append(reach)
+            self.corner[place].append(law.corner**2)
         order = sorted(range(len(self.rules)), key=lambda i: (self.rules[i].rank, i))
         sides = [[(r.target, True)] if r.between is None else [(s, False) for s in r.between] for r in self.rules]
         self._tests = [(i, [self._side(*side) for side in sides[i]]) for i in order]
@@ -76,14 +80,20 @@ class JointTables:
             If a law of the user's own does not keep to the signature or to its columns.
         """
         result = []
-        for law, rows, reach in zip(self.kinds, self.rows, self.reach, strict=True):
+        for law, rows, reach, corner in zip(self.kinds, self.rows, self.reach, self.corner, strict=True):
             name, kernel = type(law).__name__, law.sweep
             if isinstance(kernel, str):
-                result.append(LawTable(kernel, np.array(rows)))
+                result.append(LawTable(kernel, np.array(rows), corner=np.array(corner)))
                 continue
             columns, needs = _declared(name, law)
             table = LawTable(
-                kernel, np.array(rows), columns=columns, needs=needs, closure=type(law).closure, reach=np.array(reach)
+                kernel,
+                np.array(rows),
+                columns=columns,
+                needs=needs,
+                closure=type(law).closure,
+                reach=np.array(reach),
+                corner=np.array(corner),
             )
             try_law(name, table)
             result.append(table)
@@ -182,6 +192,7 @@ class JointTables:
                 kn, poisson = min(soft)
             else:
                 kn = self._rigid_stiffness()
+            self.numerical = True
             self.notes.append(
                 f"joint {type(law).__name__}: kn = {kn:.3g} Pa/m was chosen (numerical, not a rock property)"
             )

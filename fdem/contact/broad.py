@@ -49,8 +49,8 @@ def candidate_pairs(surfaces: Surfaces, x: Array, skins: Array, may_touch: Calla
 def common_pairs(old: Ints, new: Ints) -> tuple[Any, Any, Ints]:
     """Rows of `old` and `new` (sorted pairs) that are the same pair, and for every old row its new one or -1."""
     n = int(max(old.max(initial=-1), new.max(initial=-1))) + 1
-    keys = [pairs[:, 0].astype(np.int64) * n + pairs[:, 1] for pairs in (old, new)]
-    _, at_old, at_new = np.intersect1d(*keys, assume_unique=True, return_indices=True)
+    before, after = (pairs[:, 0].astype(np.int64) * n + pairs[:, 1] for pairs in (old, new))
+    _, at_old, at_new = np.intersect1d(before, after, assume_unique=True, return_indices=True)
     number = np.full(len(old), -1, np.int32)
     number[at_old] = at_new
     return at_old, at_new, number

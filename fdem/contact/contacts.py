@@ -51,6 +51,8 @@ class Contacts:
         Patches smaller than this part of the pair's largest are dropped; 0: none.
     clip_always : bool
         Cut all patches anew in every `update` (energy-exact impacts).
+    numerical : bool
+        Some stiffness was chosen by the code: closures are to be watched.
 
     Raises
     ------
@@ -76,12 +78,14 @@ class Contacts:
         names: Sequence[str] | None = None,
         prune: float = 1e-4,
         clip_always: bool = False,
+        numerical: bool = False,
     ) -> None:
         self.surfaces = Surfaces.build(blocks, x)
         s = self.surfaces
         self.laws, self.assign, self.may_touch = tuple(laws), assign, may_touch
         self.names = list(names) if names is not None else [str(i) for i in range(s.n_blocks)]
         self.prune, self.clip_always, self.gap_tolerance = prune, clip_always, gap_tolerance
+        self.numerical = numerical
         self.n_memory = max([6] + [law.memory for law in laws])
         self._geometry = FaceGeometry.of(s)
         self._skins = block_skins(s)
@@ -416,8 +420,6 @@ class Contacts:
     def n_patches(self) -> int:
         """Number of patches, open ones included."""
         return len(self.patches)
-
-    # ------------------------------------------------------------------ views, state
 
     def stiffness(self, x: Array) -> tuple[Ints, Array, Array, Array, Array]:
         """Rows of all whole patches; see `table.stiffness`."""

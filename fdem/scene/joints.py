@@ -21,6 +21,8 @@ class Joint:
     ----------
     kn, ks : float, optional
         Normal and shear stiffness [Pa/m]; None lets compile choose (and say so).
+    corner : float, optional
+        Least size [m] of a contact: corners and edges are as stiff as a face of this size (docs/contact.md); 0: soft.
 
     Raises
     ------
@@ -45,6 +47,7 @@ class Joint:
 
     kn: float | None = None
     ks: float | None = None
+    corner: float = 0.0
     kernel: ClassVar[Any] = None
     closure: ClassVar[Any] = None
     memory: ClassVar[tuple[str, ...]] = ()
@@ -55,6 +58,7 @@ class Joint:
         for field in ("kn", "ks"):
             if getattr(self, field) is not None:
                 number(owner, field, getattr(self, field), low=0.0, open_low=field == "kn")
+        number(owner, "corner", self.corner, low=0.0)
 
     def properties(self, kn: float, ks: float) -> tuple[float, ...]:
         """Row of the property table that the law's sweep reads; the first two are kn and ks [Pa/m]."""
@@ -84,6 +88,8 @@ class Coulomb(Joint):
     ----------
     kn, ks : float, optional
         Normal and shear stiffness [Pa/m]; None lets compile choose (and say so).
+    corner : float, optional
+        Least size [m] of a contact: corners and edges are as stiff as a face of this size (docs/contact.md); 0: soft.
     friction : float
         Friction angle [deg].
     cohesion, tension : float, optional
@@ -176,6 +182,8 @@ class Bonded(Joint):
     ----------
     kn, ks : float, optional
         Normal and shear stiffness [Pa/m]; None lets compile choose (and say so).
+    corner : float, optional
+        Least size [m] of a contact: corners and edges are as stiff as a face of this size (docs/contact.md); 0: soft.
     tension, shear : float, optional
         Strength [Pa]; infinite never breaks.
     friction : float, optional
@@ -213,6 +221,8 @@ class BartonBandis(Joint):
         Normal stiffness at no closure [Pa/m].
     ks : float, optional
         Shear stiffness [Pa/m]; None lets compile choose (and say so).
+    corner : float, optional
+        Least size [m] of a contact: corners and edges are as stiff as a face of this size (docs/contact.md); 0: soft.
     max_closure : float
         Closure Vm [m] that no pressure reaches.
     jrc : float
