@@ -82,6 +82,7 @@ def present(c: Contacts) -> tuple[float, float, float]:
         return c.energy(), c.friction_work, c.damping_work
     work = c.work.copy()
     joints.total_work(c._area, c._work, work)
+    work[0] += 0.5 * float(c._ks @ c._lost)
     stored = kernels.stored_energy(c._area, c._gap, c._facing, c._memory, c._kn, c._ks, c._active, 0, len(c.patches))
     return float(stored), float(work[0]), float(work[1])
 

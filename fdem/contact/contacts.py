@@ -301,7 +301,7 @@ class Contacts:
         self._slip, self._mass, self._facing = np.zeros((3 * n, 3)), np.zeros(3 * n), np.zeros(n)
         self._cluster = p.clusters()
         cluster_normal = np.zeros((int(self._cluster.max(initial=-1)) + 1, 3))
-        self._pair_area, self._foot = np.zeros(len(self.pairs)), np.zeros((n, 5))
+        self._pair_area, self._foot, self._lost = np.zeros(len(self.pairs)), np.zeros((n, 5)), np.zeros(n)
         self._traction, self._work = np.zeros((3 * n, 4)), np.zeros((3 * n, 2))
         self._state = np.full(3 * n, joints.OPEN, np.int8)
         tolerance = 0.25 * self._skins
@@ -355,8 +355,8 @@ class Contacts:
             p.gp, p.pair, self._cluster, self._thick, x, x_old, self._points, self._active, *self._rows
         )  # fmt: skip
         memory.carry_memory(
-            p.gp, x, x_old, p.points_old, p.active_old, p.memory_old, self._points, self._active,
-            self._memory_start,
+            p.gp, x, x_old, p.points_old, p.active_old, p.area_old, p.memory_old, self._points, self._active,
+            self._area, self._memory_start, self._lost,
         )  # fmt: skip
         if self._damped:
             kernels.reduced_mass(
@@ -381,6 +381,8 @@ class Contacts:
             self._stored = 0.0
             return
         joints.total_work(self._area, self._work, self.work)
+        self.work[0] += 0.5 * float(self._ks @ self._lost)
+        p.area_old[:] = self._area[::3]
         # the exchanged arrays are written completely by the next `forces`
         p.memory_old, self._memory = self._memory, p.memory_old
         p.points_old, self._points = self._points, p.points_old
