@@ -83,6 +83,7 @@ def present(c: Contacts) -> tuple[float, float, float]:
         return c.energy(), c.friction_work, c.damping_work
     work = c.work.copy()
     joints.total_work(c._area, c._work, work)
+    work[0] += 0.5 * float(c._ks @ c._lost)
     return response.stored(c, c._memory, c._active), float(work[0]), float(work[1])
 
 

@@ -297,7 +297,7 @@ class Contacts:
         self._slip, self._mass, self._facing = np.zeros((3 * n, 3)), np.zeros(3 * n), np.zeros(n)
         self._cluster = p.clusters()
         cluster_normal = np.zeros((int(self._cluster.max(initial=-1)) + 1, 3))
-        self._pair_area, self._foot = np.zeros(len(self.pairs)), np.zeros((n, 5))
+        self._pair_area, self._foot, self._lost = np.zeros(len(self.pairs)), np.zeros((n, 5)), np.zeros(n)
         self._traction, self._work = np.zeros((3 * n, 4)), np.zeros((3 * n, 2))
         self._arm = np.zeros((3 * n if self._armed else 0, 3))
         self._response = np.zeros((3 * n if any(law.closure is not None for law in present) else 0, 4))
@@ -354,8 +354,8 @@ class Contacts:
             p.gp, p.pair, self._cluster, self._thick, x, x_old, self._points, self._active, *self._rows
         )  # fmt: skip
         memory.carry_memory(
-            p.gp, x, x_old, p.points_old, p.active_old, p.memory_old, self._points, self._active,
-            self._memory_start,
+            p.gp, x, x_old, p.points_old, p.active_old, p.area_old, p.memory_old, self._points, self._active,
+            self._area, self._memory_start, self._lost,
         )  # fmt: skip
         if self._damped:
             kernels.reduced_mass(
@@ -391,6 +391,8 @@ class Contacts:
             self._stored = 0.0
             return
         joints.total_work(self._area, self._work, self.work)
+        self.work[0] += 0.5 * float(self._ks @ self._lost)
+        p.area_old[:] = self._area[::3]
         if self._fragile:
             responses.fail(self._active, p.active_old, self._memory, p.memory_old, self._brittle, p.failure)
         # the exchanged arrays are written completely by the next `forces`

@@ -91,6 +91,7 @@ def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) ->
         new.gp, new.start, new.corners, new.offset, bonded, new.ref_points, new.ref_ratio, x, new.points_old,
         new.active_old, area,
     )  # fmt: skip
+    new.area_old[:] = area / 3.0
     memory.inherit(
         new.pair, new.face_s, new.face_m, new.gp, new.points_old, new.active_old, new.memory_old, old.pair, old.face_s,
         old.face_m, old.gp, old.points_old, old.active_old, old.memory_old, x,

@@ -51,6 +51,7 @@ class Patches:
     joint: Ints
     points_old: Array
     active_old: NDArray[np.uint8]
+    area_old: Array
     memory_old: Array
     failure: NDArray[np.uint8]
     w_clip: Array
@@ -100,9 +101,8 @@ class Patches:
             pair=i, face_s=i, face_m=i, start=np.zeros(1, np.int32), corners=np.zeros((0, 2)), margin=z,
             gp=np.zeros((0, 7), np.int32), ref_points=np.zeros((0, 3, 2)), ref_ratio=z, offset=np.zeros((0, 3)),
             flags=np.zeros(0, np.uint8), limit=z, law=i, prop=i, joint=i, points_old=np.zeros((0, 3, 2)),
-            active_old=np.zeros(0, np.uint8), memory_old=np.zeros((0, memory)),
-            failure=np.zeros((0, 3), np.uint8), w_clip=np.zeros((0, 7)), reach=z,
-            normal_reach=z, cluster=i,
+            active_old=np.zeros(0, np.uint8), area_old=z, memory_old=np.zeros((0, memory)),
+            failure=np.zeros((0, 3), np.uint8), w_clip=np.zeros((0, 7)), reach=z, normal_reach=z, cluster=i,
         )  # fmt: skip
 
 
@@ -189,7 +189,8 @@ def cut_pairs(
         ref_points=np.zeros((n, 3, 2)), ref_ratio=np.zeros(n), offset=offsets(pair, face_s, face_m),
         flags=np.zeros(n, np.uint8), limit=np.minimum(s.limit[face_m], most[local]), law=np.zeros(n, np.int32),
         prop=np.zeros(n, np.int32), joint=np.zeros(n, np.int32), points_old=np.zeros((n, 3, 2)),
-        active_old=np.zeros(n, np.uint8), memory_old=np.zeros((3 * n, memory)), failure=np.zeros((n, 3), np.uint8),
+        active_old=np.zeros(n, np.uint8), area_old=np.zeros(n), memory_old=np.zeros((3 * n, memory)),
+        failure=np.zeros((n, 3), np.uint8),
         w_clip=np.zeros((3 * n, 7)), reach=np.zeros(n), normal_reach=np.zeros(n), cluster=np.zeros(n, np.int32),
     )  # fmt: skip
     footprints.reference_points(start, corners, p.ref_points, p.ref_ratio)

@@ -212,3 +212,4 @@ def preload(c: Contacts, x: Array, stress: Array) -> None:
     memory[facing, :, :3] = elastic[facing]
     p.points_old[facing] = points[facing]
     p.active_old[facing] = 1
+    p.area_old[facing] = _areas(c, x)[facing] / 3.0
