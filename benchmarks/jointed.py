@@ -1,13 +1,14 @@
-"""Jointed rock of some 500 zoned blocks: one surface mesh per common face against independent meshes, one thread.
+"""Jointed rock of some 500 zoned blocks: one surface mesh on common faces against independent meshes, one thread.
 
     python benchmarks/jointed.py [cycles]
 
-A cube is cut by three joint sets, once by planes that go through everything and once by planes that stop at other
-joints (persistence 0.8). Three kinds of meshes: "alone" is what every block gets when gmsh meshes it by itself (without
-a size: its faces divided as they are listed), "faces" shares the mesh of faces that are the same polygon on both sides,
-"shared" is what fdem makes: one mesh on everything that two faces have in common. Printed are patches of faces lying
-against each other and of all kinds, the contact share of an explicit step, and the share of detection in a
-quasi-static run under gravity.
+A cube is cut by three joint sets, by planes that go through everything and by planes that stop at other joints
+(persistence 0.8); the third scene is a wall of bricks in bond. Three kinds of meshes: "alone" is what gmsh makes of
+every block by itself (without a size: faces divided as they are listed), "faces" shares the mesh of faces that are the
+same polygon on both sides, "shared" is what fdem makes: one mesh on everything that two faces have in common. Printed
+are zones, median over the blocks of the smallest altitude of a zone, patches of faces lying against each other and of
+all kinds, the contact share of an explicit step, and for "shared" the share of detection in a quasi-static run. Times
+are CPU seconds.
 """
 
 from __future__ import annotations
@@ -24,9 +25,8 @@ from fdem.contact.contacts import Contacts
 from fdem.kernels.patches import FLAT
 from fdem.scene import interfaces
 from fdem.scene.meshing import zone_meshes
-from fdem.scene.tetmesh import boundary_facets
 
-SIDE, SIZE, REPEATS, STEPS = 20.0, 1.2, 3, 20
+SIDE, REPEATS, STEPS = 20.0, 3, 10
 ROCK = fdem.Elastic(2600.0, 2e10, 0.25)
 
 
@@ -43,7 +43,7 @@ def blocks(persistence: float) -> list:
     return shapes
 
 
-def alone(shape: fdem.Polyhedron, size: float | None) -> object:
+def alone(shape: fdem.Polyhedron, size: float | None) -> fdem.TetMesh:
     """The block meshed by itself: by gmsh, or by triangles of its faces as listed and its centroid."""
     if size is None:
         triangles = [(f[0], f[k], f[k + 1]) for f in shape.faces for k in range(1, len(f) - 1)]
@@ -53,6 +53,7 @@ def alone(shape: fdem.Polyhedron, size: float | None) -> object:
 
     geo = gmsh.model.geo
     gmsh.model.add("block")
+    gmsh.option.setNumber("Mesh.MeshSizeMax", size)
     points = [geo.addPoint(*p, size) for p in shape.points.tolist()]
     lines = {(a, b): geo.addLine(points[a], points[b]) for a, b in shape.edges.tolist()}
     loops = [
@@ -71,38 +72,37 @@ def alone(shape: fdem.Polyhedron, size: float | None) -> object:
     return fdem.tet_mesh(places.reshape(-1, 3), number[tets])
 
 
-def meshed(kind: str, shapes: list, size: float | None) -> tuple[list, float]:
+def meshed(kind: str, shapes: list, sizes: list) -> tuple[list, float]:
     """Zones of all blocks as shapes, and the seconds they took."""
-    start = time.perf_counter()
+    start = time.process_time()
     if kind == "alone":
         import gmsh
 
         gmsh.initialize(interruptible=False)
-        for option, value in (("General.Terminal", 0), ("General.NumThreads", 1), ("Mesh.MeshSizeMax", size or 1.0)):
+        for option, value in (("General.Terminal", 0), ("General.NumThreads", 1), ("Mesh.Algorithm3D", 10)):
             gmsh.option.setNumber(option, value)
-        gmsh.option.setNumber("Mesh.Algorithm3D", 10)
-        result = [alone(shape, size) for shape in shapes]
+        result = [alone(shape, size) for shape, size in zip(shapes, sizes, strict=True)]
         gmsh.finalize()
-        return result, time.perf_counter() - start
-    links = interfaces.Interfaces._links
+        return result, time.process_time() - start
+    link = interfaces.Interfaces._link
     if kind == "faces":
-        interfaces.Interfaces._links = lambda self, sizes: links(self, sizes) and []
+        interfaces.Interfaces._link = lambda self, a, b: []
     try:
-        meshes = zone_meshes(shapes, [size] * len(shapes))
+        meshes = zone_meshes(shapes, sizes)
     finally:
-        interfaces.Interfaces._links = links
-    taken = time.perf_counter() - start
-    return [fdem.tet_mesh(mesh.points, mesh.tets) for mesh in meshes], taken
+        interfaces.Interfaces._link = link
+    return [fdem.tet_mesh(mesh.points, mesh.tets) for mesh in meshes], time.process_time() - start
 
 
 def scene(shapes: list) -> fdem.Scene:
     """Blocks on rollers under gravity."""
     result = fdem.Scene()
-    result.add(shapes, fdem.Zoned(), ROCK, name="rock")
+    result.add(shapes, fdem.Zoned(), ROCK, name="block")
     result.joint(fdem.Coulomb(kn=2e10, ks=1e10, friction=35))
-    result.fix(component="z", where=lambda x: x[:, 2] < 1e-6)
-    for axis in range(2):
-        result.fix(component="xy"[axis], where=lambda x, k=axis: np.abs(x[:, k] - SIDE / 2) > SIDE / 2 - 1e-6)
+    corners = np.concatenate([shape.points for shape in shapes])
+    for axis, name in enumerate("xyz"):
+        low, high = corners[:, axis].min() + 1e-6, corners[:, axis].max() - (1e-6 if name != "z" else -1.0)
+        result.fix(component=name, where=lambda x, k=axis, low=low, high=high: (x[:, k] < low) | (x[:, k] > high))
     return result
 
 
@@ -113,22 +113,22 @@ def timed(names: tuple[str, ...], run: Callable[[], None]) -> tuple[float, dict[
 
     def clocked(name: str) -> Callable:
         def method(self: Contacts, *args: object) -> object:
-            start = time.perf_counter()
+            start = time.process_time()
             result = methods[name](self, *args)
-            spent[name] += time.perf_counter() - start
+            spent[name] += time.process_time() - start
             return result
 
         return method
 
     for name in names:
         setattr(Contacts, name, clocked(name))
-    start = time.perf_counter()
+    start = time.process_time()
     try:
         run()
     finally:
         for name in names:
             setattr(Contacts, name, methods[name])
-    return time.perf_counter() - start, spent
+    return time.process_time() - start, spent
 
 
 def quality(shapes: list) -> float:
@@ -143,40 +143,51 @@ def quality(shapes: list) -> float:
     return float(np.median(least))
 
 
+def row(kind: str, shapes: list, sizes: list, cycles: int) -> int:
+    """Print one line; the number of patches of faces lying against each other."""
+    zoned, seconds = meshed(kind, shapes, sizes)
+    sim = fdem.Simulation(scene(zoned), fdem.Explicit(), energy=False, progress=False)
+    contacts = sim.system.contacts
+    flat = (contacts.patches.flags & FLAT) > 0
+    pairs, n_flat, n_all = len(np.unique(contacts.patches.pair[flat])), int(flat.sum()), contacts.n_patches
+    sim.cycle(3)
+    shares = []
+    for _ in range(REPEATS):
+        total, spent = timed(("forces", "update", "commit"), lambda: sim.cycle(STEPS))
+        shares.append((sum(spent.values()) / total, 1e3 * total / STEPS))
+    share, step = np.median(shares, axis=0)
+    print(
+        f"  {kind:6s} {pairs:6d} {seconds:7.1f} {sum(len(s.tets) for s in zoned):7d} {quality(zoned):9.3f}"
+        f" {n_flat:8d} {n_all:8d} {step:8.2f} {share:8.2f}",
+        end="" if kind == "shared" else "\n",
+        flush=True,
+    )
+    if kind == "shared":
+        slow = fdem.Simulation(sim.scene, fdem.Relaxation(), energy=False, progress=False)
+        total, spent = timed(("update",), lambda: slow.cycle(cycles))
+        grown = slow.system.contacts.n_patches
+        print(f" {spent['update'] / total:10.3f}   ({cycles} cycles, then {grown} patches, ratio {slow.ratio:.1e})")
+    return n_flat
+
+
 def main() -> None:
-    """Print one line per scene and kind of mesh."""
+    """Print one table per scene."""
     warnings.simplefilter("ignore", fdem.FdemWarning)
-    cycles = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    for persistence in (1.0, 0.8):
-        shapes = blocks(persistence)
-        for size in (None, SIZE):
-            print(f"persistence {persistence}, size {size}: {len(shapes)} blocks")
-            first = 0
-            for kind in ("alone", "faces", "shared"):
-                zoned, seconds = meshed(kind, shapes, size)
-                sim = fdem.Simulation(scene(zoned), fdem.Explicit(), energy=False, progress=False)
-                contacts = sim.system.contacts
-                flat = (contacts.patches.flags & FLAT) > 0
-                pairs = len(np.unique(contacts.patches.pair[flat]))
-                sim.cycle(3)
-                shares = []
-                for _ in range(REPEATS):
-                    total, spent = timed(("forces", "update", "commit"), lambda sim=sim: sim.cycle(STEPS))
-                    shares.append((sum(spent.values()) / total, total / STEPS))
-                share, step = (float(np.median(column)) for column in zip(*shares, strict=True))
-                n_patches = contacts.n_patches
-                slow = fdem.Simulation(sim.scene, fdem.Relaxation(), energy=False, progress=False)
-                total, spent = timed(("update",), lambda sim=slow: sim.cycle(cycles))
-                first = first or int(flat.sum())
-                print(
-                    f"  {kind:7s} {seconds:5.1f} s to mesh, {sum(len(s.tets) for s in zoned):6d} zones, "
-                    f"{sum(len(boundary_facets(s.tets)) for s in zoned):6d} triangles, altitude {quality(zoned):.3f} m;"
-                    f" {pairs} touching pairs, patches {int(flat.sum()):6d} face to face "
-                    f"({first / flat.sum():.2f} x fewer), {n_patches:6d} in all; step {1e3 * step:6.2f} ms, "
-                    f"contact {share:.2f}; detection {spent['update'] / total:.3f} of {cycles} cycles "
-                    f"({slow.system.contacts.n_patches} patches then)",
-                    flush=True,
-                )
+    cycles = int(sys.argv[1]) if len(sys.argv) > 1 else 3000
+    through, stopped, wall = blocks(1.0), blocks(0.8), fdem.wall(10.0, 5.0, 0.25, (0.5, 0.2, 0.25))
+    mixed = 1.2 * np.random.default_rng(0).uniform(0.8, 1.25, len(through))
+    for what, shapes, sizes in (
+        ("cut through, no size", through, [None] * len(through)),
+        ("cut through, size 1.2 m", through, [1.2] * len(through)),
+        ("cut through, sizes 1 to 1.5 m", through, mixed.tolist()),
+        ("cuts that stop, size 1.2 m", stopped, [1.2] * len(stopped)),
+        ("wall in bond, size 0.12 m", wall, [0.12] * len(wall)),
+    ):
+        print(f"{what}: {len(shapes)} blocks")
+        print("  mesh    pairs  mesh s   zones  altitude  flat pa.  patches  step ms  contact  detection")
+        count = {kind: row(kind, shapes, sizes, cycles) for kind in ("alone", "faces", "shared")}
+        fewer = ", ".join(f"{count[kind] / count['shared']:.2f} x fewer than {kind}" for kind in ("alone", "faces"))
+        print(f"  patches of faces lying against each other: {fewer}", flush=True)
 
 
 if __name__ == "__main__":

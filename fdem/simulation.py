@@ -23,6 +23,7 @@ from fdem.readout import Readout
 from fdem.results.energy import Ledger
 from fdem.results.history import Every, History, adapted, watch
 from fdem.scene.checks import number
+from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Fix, Gridpoint, Scene, Where
 from fdem.stopping import Report, Watch
 from fdem.views import BlockView, GridpointView, LoadView
@@ -87,6 +88,7 @@ class Simulation(Readout):
             # loads applied on the way go along within a scene; those of another scene know other blocks
             known = source._applied if source.scene is scene else self._applied
             self._applied |= {key: replace(value) for key, value in source._applied.items() if key in known}
+        self._before = None if source is None else Kept.of(source.compiled.layout)
         self._compile()
         if self.integrator.scaled:
             self.state.v[:] = 0.0  # the speeds of the scene are in m/s, not per unit of fictitious time
@@ -97,7 +99,9 @@ class Simulation(Readout):
             self.ledger.entry(self.stored())
 
     def _compile(self) -> None:
-        self.compiled: Compiled = compile_scene(self.scene, self._removed, list(self._applied.values()), self._threads)
+        self.compiled: Compiled = compile_scene(
+            self.scene, self._removed, list(self._applied.values()), self._threads, self._before
+        )
         self._make_system(self.compiled)
         self.x0, self.centroids0 = self.state.x.copy(), self.centroids()
         self.turned = np.zeros((self._n_rigid, 3))
@@ -271,7 +275,7 @@ class Simulation(Readout):
         applied = self._applied if applied is None else applied
         removed = self._removed if removed is None else removed
         # first of all, so that a change that is refused changes nothing
-        compiled = compile_scene(self.scene, removed, list(applied.values()), self._threads)
+        compiled = compile_scene(self.scene, removed, list(applied.values()), self._threads, self._before)
         before = self.stored() if self.ledger is not None else {}
         old = checkpoint.Carrier(self)
         self.compiled, self._applied, self._removed = compiled, applied, removed

@@ -19,6 +19,7 @@ from fdem.constraints import Constraints
 from fdem.loads import Load
 from fdem.model import Model
 from fdem.scene.boundary import Stress
+from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Scene
 from fdem.scene.shapes import Surface
 from fdem.state import State
@@ -57,7 +58,9 @@ class Compiled:
     drags: list[tuple[Applied, np.ndarray]]
 
 
-def compile_scene(scene: Scene, removed: frozenset[str], loads: list[Applied], threads: int) -> Compiled:
+def compile_scene(
+    scene: Scene, removed: frozenset[str], loads: list[Applied], threads: int, before: Kept | None = None
+) -> Compiled:
     """Resolve a scene into arrays, formulations, contacts, loads and constraints.
 
     Parameters
@@ -70,13 +73,15 @@ def compile_scene(scene: Scene, removed: frozenset[str], loads: list[Applied], t
         The scene's loads and those applied to the simulation.
     threads : int
         Threads of the zone kernels.
+    before : Kept, optional
+        Origin and zones that stay, because a state is to go on.
 
     Raises
     ------
     SceneError, JointError, MeshError
         If the scene is wrong; the message names block, field and value.
     """
-    layout = lay_out(scene, removed, loads)
+    layout = lay_out(scene, removed, loads, before)
     model, state = assemble(layout, threads)
     for batch in model.batches:
         batch.place(state.q, state.x)

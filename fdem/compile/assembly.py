@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from fdem.compile.zones import scene_zones
 from fdem.errors import FdemWarning, SceneError, UnsupportedError
 from fdem.model import Model
 from fdem.scene.bodies import Zoned
 from fdem.scene.boundary import Stress, Velocity
+from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Block, Gridpoint, Scene, choose, surface_of
 from fdem.scene.shapes import Surface
 from fdem.state import State
@@ -37,6 +39,8 @@ class Layout:
         Surface triangles of each block (local numbers) with their tags.
     zone_notes : list of str
         What is worth telling about the zones.
+    kept : dict
+        Zones by block name that are those of an earlier state, not what the scene would now get.
     """
 
     scene: Scene
@@ -53,14 +57,17 @@ class Layout:
     triangle_tags: list[list[str | None]]
     loads: list[Applied]
     zone_notes: list[str]
+    kept: dict[str, Any]
 
     def of_kind(self, kind: str) -> list[int]:
         """Model indices of the blocks of one kind, in order."""
         return [i for i, k in enumerate(self.kind) if k == kind]
 
 
-def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layout:
+def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied], before: Kept | None = None) -> Layout:
     """Decide how every block moves, subdivide the deformable ones, number gridpoints.
+
+    Blocks that are in `before` with the same shape and body keep the zones they have there, and its origin stays.
 
     Raises
     ------
@@ -79,9 +86,13 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
     kind = [kinds[block] for block in blocks]
     _refuse_twins(blocks, kind)
     bounds = np.array([block.shape.bounds for block in everything])
-    origin = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0))
-    zoned, zone_notes = _zone_meshes(scene, [block for block in everything if kinds[block] == "zoned"])
-    meshes = [zoned.get(block) for block in blocks]
+    # a state that goes on is relative to the origin it had
+    origin = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0)) if before is None else before.origin
+    zoned, zone_notes = scene_zones(scene, [block for block in everything if kinds[block] == "zoned"])
+    kept = {} if before is None else before.differing(zoned)
+    if kept:
+        zone_notes = [*zone_notes, f"zones: {len(kept)} blocks keep those they had, which do not fit new neighbours"]
+    meshes = [kept.get(block.name, zoned.get(block)) for block in blocks]
     points, loops, loop_tags, triangles, triangle_tags = [], [], [], [], []
     for block, mesh in zip(blocks, meshes, strict=True):
         surface = surface_of(block.shape)
@@ -108,7 +119,7 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
     index = {block: i for i, block in enumerate(blocks)}
     return Layout(
         scene, blocks, index, kind, meshes, origin, gp_range, points, loops, loop_tags, triangles, triangle_tags, loads,
-        zone_notes,
+        zone_notes, kept,
     )  # fmt: skip
 
 
@@ -142,26 +153,6 @@ def _kinds(scene: Scene, blocks: list[Block], loads: list[Applied]) -> list[str]
         else:
             kinds.append("zoned" if isinstance(block.body, Zoned) else "rigid")
     return kinds
-
-
-def _zone_meshes(scene: Scene, blocks: list[Block]) -> tuple[dict[Block, Any], list[str]]:
-    """Zones of the deformable blocks, excavated ones included, and notes on them.
-
-    Neighbours share surface meshes, so the zones of a block depend on all of them: they are a function of the scene
-    alone, kept with it, and an excavation subdivides nothing again.
-    """
-    if not blocks:
-        return {}, []
-    from fdem.scene.meshing import zone_meshes
-
-    key = [(block, block.shape, block.body) for block in blocks]
-    known = scene.__dict__.get("zone_cache")
-    if known is None or known[0] != key:
-        notes: list[str] = []
-        sizes = [block.body.size for block in blocks]
-        made = zone_meshes([block.shape for block in blocks], sizes, [block.name for block in blocks], notes)
-        known = scene.__dict__["zone_cache"] = (key, dict(zip(blocks, made, strict=True)), notes)
-    return known[1], known[2]
 
 
 def assemble(layout: Layout, threads: int) -> tuple[Model, State]:

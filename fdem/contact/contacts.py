@@ -111,8 +111,6 @@ class Contacts:
         self.report: dict[str, float] = {}
         self._start(x)
 
-    # ------------------------------------------------------------------ detection
-
     def _start(self, x: Array) -> None:
         """First detection: reference gaps, intact flags, refusal of overlapping blocks."""
         self.pairs = candidate_pairs(self.surfaces, x, self._skins, self.may_touch)
@@ -319,8 +317,6 @@ class Contacts:
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
             self._pair_area, cluster_normal, self._foot, depth, face_normal,
         )  # fmt: skip
-
-    # ------------------------------------------------------------------ forces
 
     def forces(self, x: Array, x_old: Array, dt: float, f_gp: Array) -> None:
         """Add the contact forces on gridpoints; the trial memory starts from the committed one every time.

@@ -43,12 +43,15 @@ class ZoneMesh:
         Boundary, outward.
     triangle_face : (k,) int32 array
         Face of the polyhedron (of the surface of a `TetMesh`) each lies on.
+    size : float
+        Zone edge that the block asked for [m]; ``inf``: none.
     """
 
     points: Array
     tets: Array
     triangles: Array
     triangle_face: Array
+    size: float = np.inf
 
 
 def zone_meshes(
@@ -187,7 +190,7 @@ def _filled(gmsh: Any, shape: Any, size: float, raw: BlockSurface, block: Any) -
     triangles, owner = _sorted_triangles(number[raw.triangles], raw.triangle_face)
     surface = _Surface(shape, size, raw.points[order], raw.places[order], triangles, raw.middle, raw.extent)
     inside, tets = _best_fill(gmsh, surface, block)
-    return _renumbered(np.concatenate([surface.points, inside]), tets, triangles, owner)
+    return _renumbered(np.concatenate([surface.points, inside]), tets, triangles, owner, size)
 
 
 def _best_fill(gmsh: Any, surface: _Surface, block: Any) -> tuple[Array, Array]:
@@ -270,7 +273,7 @@ def _sorted_triangles(triangles: Array, owner: Array) -> tuple[Array, Array]:
     return np.ascontiguousarray(triangles[order]), owner[order]
 
 
-def _renumbered(points: Array, tets: Array, triangles: Array, owner: Array) -> ZoneMesh:
+def _renumbered(points: Array, tets: Array, triangles: Array, owner: Array, size: float) -> ZoneMesh:
     """Reverse Cuthill-McKee order of the points, zones and triangles sorted by point."""
     n = len(points)
     if n >= _RENUMBER:
@@ -290,4 +293,5 @@ def _renumbered(points: Array, tets: Array, triangles: Array, owner: Array) -> Z
         np.ascontiguousarray(tets, dtype=np.int32),
         np.ascontiguousarray(triangles, dtype=np.int32),
         np.ascontiguousarray(owner, dtype=np.int32),
+        size,
     )
