@@ -247,6 +247,11 @@ class Nodes:
         """A loop with the nodes on its edges."""
         return [v for a, b in zip(loop, [*loop[1:], loop[0]], strict=True) for v in (a, *self.between(a, b))]
 
+    def pieces(self) -> set[Segment]:
+        """What edges with nodes fall into."""
+        chains = ([segment[0], *self.between(*segment), segment[1]] for segment in self._on)
+        return {(min(a, b), max(a, b)) for chain in chains for a, b in pairwise(chain)}
+
     def gaps(self) -> list[tuple[float, list[frozenset[int]]]]:
         """Distances of neighbouring points on edges [m], shortest first, and who asked for each that is no end."""
         out = []

@@ -18,6 +18,7 @@ __all__ = ["BlockSurface", "SharedSurfaces"]
 Array = Any
 
 _LONG = 0.37  # of the longest side: long enough to lay the axes of a face along
+_SPARE = 0.25  # of the zone size: pieces of an edge this much too long are not divided once more
 _WHOLE = 1.5  # faces smaller than this many zone sizes, with undivided edges, get no points inside
 _ALGORITHMS = (6, 5, 1)  # frontal Delaunay, Delaunay, MeshAdapt
 
@@ -69,9 +70,9 @@ class SharedSurfaces:
 
     Notes
     -----
-    Edges are cut into ``ceil(length / size)`` equal parts between nodes; the cells of faces are meshed in a frame of
-    their own that starts at a corner chosen by geometry. So two blocks that share a cell get the same triangles,
-    to the bit, and equal shapes get equal meshes wherever they stand.
+    Edges are cut into ``ceil(length / size)`` equal parts, pieces between nodes a little more coarsely; the cells of
+    faces are meshed in a frame of their own that starts at a corner chosen by geometry. So two blocks that share a
+    cell get the same triangles, to the bit, and equal shapes get equal meshes wherever they stand.
     """
 
     def __init__(self, shapes: Sequence[Any], sizes: Sequence[float], names: Sequence[int]) -> None:
@@ -85,6 +86,7 @@ class SharedSurfaces:
                 self._cell_size[key] = min(size, self._cell_size.get(key, np.inf))
                 for edge in edges_of(loop):
                     self._edge_size[edge] = min(size, self._edge_size.get(edge, np.inf))
+        self._pieces = self.interfaces.nodes.pieces()
         self._points: list[Array] = list(self.interfaces.points)
         self._edge_points: dict[tuple[int, int], list[int]] = {}
         self._inside: dict[tuple[int, ...], _Inner] = {}
@@ -203,7 +205,8 @@ class SharedSurfaces:
         if key not in self._edge_points:
             ends = self.interfaces.places(key)
             length = float(np.linalg.norm(ends[1] - ends[0]))
-            parts = max(1, int(np.ceil(length / self._edge_size[key] - 1e-6)))
+            spare = _SPARE if key in self._pieces else 1e-6
+            parts = max(1, int(np.ceil(length / self._edge_size[key] - spare)))
             first = len(self._points)
             self._points.extend(ends[0] + (ends[1] - ends[0]) * (k / parts) for k in range(1, parts))
             self._edge_points[key] = list(range(first, len(self._points)))
