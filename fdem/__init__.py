@@ -31,7 +31,7 @@ _HOME = {
     "fdem._jit": ("kernel",),
     "fdem.scene.bodies": ("Rigid", "Zoned"),
     "fdem.scene.materials": ("Elastic",),
-    "fdem.scene.joints": ("Bonded", "Coulomb", "Joint"),
+    "fdem.scene.joints": ("BartonBandis", "Bonded", "Coulomb", "Joint"),
     "fdem.scene.boundary": (
         "Displacement",
         "Drag",
@@ -67,6 +67,7 @@ _WHERE = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
     "Adaptive",
+    "BartonBandis",
     "Bonded",
     "Checkpoint",
     "CheckpointError",

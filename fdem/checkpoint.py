@@ -15,6 +15,7 @@ from fdem.contact.carry import adopt
 from fdem.errors import CheckpointError
 from fdem.model import Model
 from fdem.scene import boundary
+from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Block, Gridpoint
 
 if TYPE_CHECKING:
@@ -143,6 +144,9 @@ def save(sim: Simulation, path: str | Path) -> None:
         arrays |= {f"contacts_{key}": value for key, value in system.contacts.state_arrays().items()}
     for i, (gp, forces, _, _) in enumerate(sim._releases):
         arrays |= {f"release_gp_{i}": gp, f"release_f_{i}": forces}
+    if sim._before is not None:
+        layout = sim.compiled.layout
+        arrays |= {f"kept_{key}": value for key, value in Kept(layout.origin, layout.kept).arrays().items()}
     handles = list(sim._applied)
     head = {
         "format": FORMAT,
@@ -239,6 +243,8 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
     sim._releases = [
         (saved[f"release_gp_{i}"], saved[f"release_f_{i}"], at, over) for i, (at, over) in enumerate(head["releases"])
     ]
+    kept = {key[len("kept_") :]: value for key, value in saved.items() if key.startswith("kept_")}
+    sim._before = Kept.read(kept) if kept else None
     sim._compile()
     for name, have, wanted in zip(head["names"], digests(sim.model), head["digests"], strict=True):
         if have != wanted:

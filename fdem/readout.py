@@ -190,12 +190,12 @@ class Readout:
         return self._block_mean(np.zeros((0, 6)) if batch is None else batch.zone_strain(self.state.x))
 
     def contact_table(self) -> dict[str, Any]:
-        """Contact points: blocks, joint, normal, gap, area, traction, force, slip, state, position."""
+        """Contact points: blocks, joint, normal, gap, area, traction, force, slip, state, failure, position."""
         contacts = self.system.contacts
         self.forces()
         if contacts is None:
             empty: dict[str, Any] = {
-                name: np.zeros(0, dtype=np.int32) for name in ("block_a", "block_b", "joint", "state")
+                name: np.zeros(0, dtype=np.int32) for name in ("block_a", "block_b", "joint", "state", "failure")
             }
             empty |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
             empty |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}

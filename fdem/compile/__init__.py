@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from fdem.compile.assembly import Layout, assemble, in_situ, lay_out
-from fdem.compile.joints import JointTables
 from fdem.compile.loads import compile_loads
 from fdem.compile.select import Selector
 from fdem.compile.supports import compile_constraints
@@ -20,6 +19,7 @@ from fdem.constraints import Constraints
 from fdem.loads import Load
 from fdem.model import Model
 from fdem.scene.boundary import Stress
+from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Scene
 from fdem.scene.shapes import Surface
 from fdem.state import State
@@ -58,7 +58,9 @@ class Compiled:
     drags: list[tuple[Applied, np.ndarray]]
 
 
-def compile_scene(scene: Scene, removed: frozenset[str], loads: list[Applied], threads: int) -> Compiled:
+def compile_scene(
+    scene: Scene, removed: frozenset[str], loads: list[Applied], threads: int, before: Kept | None = None
+) -> Compiled:
     """Resolve a scene into arrays, formulations, contacts, loads and constraints.
 
     Parameters
@@ -71,13 +73,15 @@ def compile_scene(scene: Scene, removed: frozenset[str], loads: list[Applied], t
         The scene's loads and those applied to the simulation.
     threads : int
         Threads of the zone kernels.
+    before : Kept, optional
+        Origin and zones that stay, because a state is to go on.
 
     Raises
     ------
     SceneError, JointError, MeshError
         If the scene is wrong; the message names block, field and value.
     """
-    layout = lay_out(scene, removed, loads)
+    layout = lay_out(scene, removed, loads, before)
     model, state = assemble(layout, threads)
     for batch in model.batches:
         batch.place(state.q, state.x)
@@ -95,8 +99,10 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
     if model.n_blocks < 2 or model.fixed.all():
         model.notes.append("contacts: left out, there are not two blocks of which one can move")
         return None
-    from fdem.contact.contacts import Contacts, LawTable
+    from fdem.compile.joints import JointTables
+    from fdem.contact.contacts import Contacts
     from fdem.contact.surface import BlockSurface
+    from fdem.contact.table import whole_points
 
     number = {tag: i for i, tag in enumerate(model.tags)}
     surfaces = []
@@ -122,14 +128,15 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
         surfaces,
         state.x,
         gp_mass=model.gp_mass,
-        laws=[LawTable(kernel, np.array(rows)) for kernel, rows in zip(tables.kernels, tables.rows, strict=True)],
+        laws=tables.tables(),
+        numerical=tables.numerical,
         assign=tables.assign,
         gap_tolerance=layout.scene.gap_tolerance,
         names=model.names,
     )
     if any(isinstance(applied.load, Stress) for applied in layout.loads):
         owner = np.repeat(contacts.slave[contacts.patches.pair], 3)
-        stress = in_situ(layout, contacts.points(state.x) + model.origin, owner)
+        stress = in_situ(layout, whole_points(contacts.patches, state.x) + model.origin, owner)
         assert stress is not None
         contacts.preload(state.x, stress)
     return contacts

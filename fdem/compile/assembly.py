@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from fdem.compile.zones import scene_zones
 from fdem.errors import FdemWarning, SceneError, UnsupportedError
 from fdem.model import Model
 from fdem.scene.bodies import Zoned
 from fdem.scene.boundary import Stress, Velocity
+from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Block, Gridpoint, Scene, choose, surface_of
 from fdem.scene.shapes import Surface
 from fdem.state import State
@@ -35,6 +37,10 @@ class Layout:
         Faces of each block as vertex loops (local numbers) with their tags.
     triangles, triangle_tags : list
         Surface triangles of each block (local numbers) with their tags.
+    zone_notes : list of str
+        What is worth telling about the zones.
+    kept : dict
+        Zones by block name that are those of an earlier state, not what the scene would now get.
     """
 
     scene: Scene
@@ -50,14 +56,18 @@ class Layout:
     triangles: list[np.ndarray]
     triangle_tags: list[list[str | None]]
     loads: list[Applied]
+    zone_notes: list[str]
+    kept: dict[str, Any]
 
     def of_kind(self, kind: str) -> list[int]:
         """Model indices of the blocks of one kind, in order."""
         return [i for i, k in enumerate(self.kind) if k == kind]
 
 
-def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layout:
+def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied], before: Kept | None = None) -> Layout:
     """Decide how every block moves, subdivide the deformable ones, number gridpoints.
+
+    Blocks that are in `before` with the same shape and body keep the zones they have there, and its origin stays.
 
     Raises
     ------
@@ -72,11 +82,17 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
         scene.check(block)
         if callable(getattr(block.material, "density", None)):
             raise UnsupportedError(f"block {block.name!r}: a density that varies in space is not there yet")
-    kind = _kinds(scene, blocks, loads)
+    kinds = dict(zip(everything, _kinds(scene, everything, loads), strict=True))
+    kind = [kinds[block] for block in blocks]
     _refuse_twins(blocks, kind)
     bounds = np.array([block.shape.bounds for block in everything])
-    origin = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0))
-    meshes = _zone_meshes(scene, blocks, kind)
+    # a state that goes on is relative to the origin it had
+    origin = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0)) if before is None else before.origin
+    zoned, zone_notes = scene_zones(scene, [block for block in everything if kinds[block] == "zoned"])
+    kept = {} if before is None else before.differing(zoned)
+    if kept:
+        zone_notes = [*zone_notes, f"zones: {len(kept)} blocks keep those they had, which do not fit new neighbours"]
+    meshes = [kept.get(block.name, zoned.get(block)) for block in blocks]
     points, loops, loop_tags, triangles, triangle_tags = [], [], [], [], []
     for block, mesh in zip(blocks, meshes, strict=True):
         surface = surface_of(block.shape)
@@ -102,8 +118,9 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
         start += len(points[i])
     index = {block: i for i, block in enumerate(blocks)}
     return Layout(
-        scene, blocks, index, kind, meshes, origin, gp_range, points, loops, loop_tags, triangles, triangle_tags, loads
-    )
+        scene, blocks, index, kind, meshes, origin, gp_range, points, loops, loop_tags, triangles, triangle_tags, loads,
+        zone_notes, kept,
+    )  # fmt: skip
 
 
 def _refuse_twins(blocks: list[Block], kind: list[str]) -> None:
@@ -138,22 +155,6 @@ def _kinds(scene: Scene, blocks: list[Block], loads: list[Applied]) -> list[str]
     return kinds
 
 
-def _zone_meshes(scene: Scene, blocks: list[Block], kind: list[str]) -> list[Any]:
-    if "zoned" not in kind:
-        return [None] * len(blocks)
-    from fdem.scene.meshing import zone_meshes
-
-    # meshes belong to the scene, so that an excavation does not subdivide again
-    cache: dict[Any, Any] = scene.__dict__.setdefault("zone_cache", {})
-    chosen = [b for b, k in zip(blocks, kind, strict=True) if k == "zoned"]
-    missing = [b for b in chosen if (b, b.shape, b.body) not in cache]
-    if missing:
-        made = zone_meshes([b.shape for b in chosen], [b.body.size for b in chosen])
-        for block, mesh in zip(chosen, made, strict=True):
-            cache[block, block.shape, block.body] = mesh
-    return [cache[b, b.shape, b.body] if k == "zoned" else None for b, k in zip(blocks, kind, strict=True)]
-
-
 def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
     """Flat arrays, formulations and the state at the start."""
     n_gp = int(layout.gp_range.max())
@@ -166,7 +167,7 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
     zones, zone_block, zone_start = _zones(layout, zoned)
     volume = np.array([b.shape.volume if not isinstance(b.shape, Surface) else _extent(b) ** 3 for b in layout.blocks])
     density = np.array([0.0 if b.material is None else float(b.material.density) for b in layout.blocks])
-    notes: list[str] = []
+    notes = list(layout.zone_notes)
     deformable = _zoned_batch(layout, zoned, X, zones, zone_start, state, threads, notes) if zoned else None
     body, rigid_mass = _rigid_batch(layout, rigid, X, density) if rigid else (None, np.zeros(0))
     mass = density * volume

@@ -22,6 +22,7 @@ ALIGNED = 0.99  # -n_a.n_f above which two faces lie against each other
 STRIP = 0.02  # -n_a.n_f below which a patch is a side strip: force only
 TRAVEL = 1e-3  # of the square root of the pair's largest patch: motion after which walls are cut anew
 EDGE_TRAVEL = 0.02  # of its width: closure after which a patch along an edge is cut anew
+TOUCH = 1e-5  # of the slave's size: distance below which two patches touch
 LATENT_TRAVEL = 1e-4  # of it: least motion into the face before side strips that were left out are looked at again
 
 
@@ -50,13 +51,23 @@ class Patches:
     joint: Ints
     points_old: Array
     active_old: NDArray[np.uint8]
+    area_old: Array
     memory_old: Array
+    failure: NDArray[np.uint8]
     w_clip: Array
     reach: Array
     normal_reach: Array
+    cluster: Ints
 
     def __len__(self) -> int:
         return len(self.pair)
+
+    def clusters(self) -> Ints:
+        """Numbers (n,) of the sets of patches that hang together; `cluster` counts within a pair."""
+        if not self.cluster.any():
+            return self.pair
+        key = self.pair.astype(np.int64) * (int(self.cluster.max()) + 1) + self.cluster
+        return np.unique(key, return_inverse=True)[1].astype(np.int32)
 
     def take(self, ids: Any) -> Patches:
         """The patches `ids` (int array), in that order."""
@@ -90,8 +101,8 @@ class Patches:
             pair=i, face_s=i, face_m=i, start=np.zeros(1, np.int32), corners=np.zeros((0, 2)), margin=z,
             gp=np.zeros((0, 7), np.int32), ref_points=np.zeros((0, 3, 2)), ref_ratio=z, offset=np.zeros((0, 3)),
             flags=np.zeros(0, np.uint8), limit=z, law=i, prop=i, joint=i, points_old=np.zeros((0, 3, 2)),
-            active_old=np.zeros(0, np.uint8), memory_old=np.zeros((0, memory)), w_clip=np.zeros((0, 7)), reach=z,
-            normal_reach=z,
+            active_old=np.zeros(0, np.uint8), area_old=z, memory_old=np.zeros((0, memory)),
+            failure=np.zeros((0, 3), np.uint8), w_clip=np.zeros((0, 7)), reach=z, normal_reach=z, cluster=i,
         )  # fmt: skip
 
 
@@ -178,14 +189,14 @@ def cut_pairs(
         ref_points=np.zeros((n, 3, 2)), ref_ratio=np.zeros(n), offset=offsets(pair, face_s, face_m),
         flags=np.zeros(n, np.uint8), limit=np.minimum(s.limit[face_m], most[local]), law=np.zeros(n, np.int32),
         prop=np.zeros(n, np.int32), joint=np.zeros(n, np.int32), points_old=np.zeros((n, 3, 2)),
-        active_old=np.zeros(n, np.uint8), memory_old=np.zeros((3 * n, memory)), w_clip=np.zeros((3 * n, 7)),
-        reach=np.zeros(n), normal_reach=np.zeros(n),
+        active_old=np.zeros(n, np.uint8), area_old=np.zeros(n), memory_old=np.zeros((3 * n, memory)),
+        failure=np.zeros((n, 3), np.uint8),
+        w_clip=np.zeros((3 * n, 7)), reach=np.zeros(n), normal_reach=np.zeros(n), cluster=np.zeros(n, np.int32),
     )  # fmt: skip
     footprints.reference_points(start, corners, p.ref_points, p.ref_ratio)
-    sizes = [np.zeros(n) for _ in range(4)]
+    area, closed, align, depth = sizes = [np.zeros(n) for _ in range(4)]
     plane_depth, centre = np.zeros((n, 3)), np.zeros((n, 3))
     footprints.measure(gp, start, corners, p.offset, x, *sizes, plane_depth, centre)
-    area, closed, align, depth = sizes
     # side strips are weighed by what is closed: they exist only as far as the blocks overlap
     facing, keep = align > STRIP, np.zeros(n, bool)
     largest, largest_closed, nearest = np.zeros(len(which)), np.zeros(len(which)), miss.copy()
@@ -208,8 +219,9 @@ def cut_pairs(
     ids = np.flatnonzero(keep)
     if len(ids) < n:
         p = p.take(ids)
-    thick = s.has_behind[p.face_m]
-    kernels.weights_at(p.gp, thick, p.ref_points, x, p.w_clip)
+    # where corners meet, two places agree within what merging faces moves them
+    upkeep.clusters(p.pair, align[ids] > ALIGNED, p.gp, p.start, p.corners, x, TOUCH * s.size[slave], p.cluster)
+    kernels.weights_at(p.gp, s.has_behind[p.face_m], p.ref_points, x, p.w_clip)
     return Cut(
         p, ghosts, which[too_deep == 1], area[ids], closed[ids], align[ids], depth[ids], plane_depth[ids], centre[ids]
     )

@@ -18,6 +18,9 @@ __all__ = ["closing", "drifted_pairs", "refuse_leaps", "worn_pairs"]
 Array = NDArray[np.float64]
 
 
+EARLY = 0.5  # of what a cut allows
+
+
 def closing(c: Contacts, x: Array, out: Any) -> bool:
     """Mark pairs in `out` (n_pairs,) uint8 with a patch that is wider than the faces and closes; whether there are."""
     p = c.patches
@@ -25,11 +28,21 @@ def closing(c: Contacts, x: Array, out: Any) -> bool:
 
 
 def worn_pairs(c: Contacts, x: Array) -> Any:
-    """Pairs (n_pairs,) uint8 one of whose patches or near misses moved further than its cut allows."""
+    """Pairs (n_pairs,) uint8 to be cut anew: one of their patches or near misses moved further than its cut allows.
+
+    If there are any, those that have used up half of it are cut along: the table of patches is made anew at the cost
+    of a step, however few they are.
+    """
+    worn = _moved(c, x, 1.0)
+    return _moved(c, x, EARLY) if worn.any() else worn
+
+
+def _moved(c: Contacts, x: Array, share: float) -> Any:
     p, g = c.patches, c.ghosts
     worn = np.zeros(len(c.pairs), np.uint8)
-    upkeep.worn_pairs(p.gp, p.pair, p.w_clip, p.flags, p.reach, p.normal_reach, x, worn)
-    upkeep.worn_pairs(g.gp, g.pair, g.w, np.zeros(len(g.pair), np.uint8), g.reach, g.reach, x, worn)
+    upkeep.worn_pairs(p.gp, p.pair, p.w_clip, p.flags, share * p.reach, share * p.normal_reach, x, worn)
+    reach = share * g.reach
+    upkeep.worn_pairs(g.gp, g.pair, g.w, np.zeros(len(g.pair), np.uint8), reach, reach, x, worn)
     closing(c, x, worn)
     return worn
 

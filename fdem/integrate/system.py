@@ -73,6 +73,7 @@ class System:
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
         self._first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
+        self.stiffening = contacts is not None and contacts.curved  # joints whose stiffness grows as they close
         self._keeps_old = contacts is not None or self._load_old is not None
         self.weight = self._weight()
         self._terms = self._choose_terms()
@@ -181,7 +182,7 @@ class System:
         state.step += 1
         self.dt = dt
         self.current = False
-        if self.contacts is not None and self.contacts.update(state.x):
+        if self.contacts is not None and (self.contacts.update(state.x) or self.contacts.stiffer):
             self.stale = True
             refuse_leaps(self.contacts, state.x_old, state.x)
 
@@ -221,9 +222,7 @@ class System:
 
     def unseen_motion(self) -> float:
         """Longest step [s] in which no block moves so far that a stiff contact goes unseen; infinite at rest."""
-        speed = np.zeros_like(self.state.x)
-        for batch in self.model.batches:
-            batch.push(self.state.q, self.state.v, speed)
+        speed = self._pushed(self.state.v)
         fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
         return MOTION * self._smallest / fastest if fastest > 0.0 else np.inf
 
@@ -257,6 +256,38 @@ class System:
                 v = v.reshape(-1, 3)[::2].max(axis=1) + self._radius * v.reshape(-1, 3)[1::2].max(axis=1)
             bound = max(bound, 2.0 * float(v.max(initial=0.0)))  # 2 > sqrt(3): of a component
         return bound
+
+    def safe_closing(self) -> float:
+        """Longest step t [s] in which no joint that stiffens closes further than it can take; kicks last lag + t/2."""
+        a = self._pushed(self.accelerate(self.forces()))
+        speed = self._pushed(self.state.v) + self.lag * a
+        return float(self.contacts.pace(speed, 0.5 * a).min(initial=np.inf))
+
+    def _pushed(self, v: np.ndarray) -> np.ndarray:
+        """Values at gridpoints (n_gp, 3) of generalised velocities or accelerations."""
+        result = np.zeros_like(self.state.x)
+        for batch in self.model.batches:
+            batch.push(self.state.q, v, result)
+        return result
+
+    def brake(self, dt: float) -> None:
+        """Slow down blocks that would close a stiffening joint further than it can take in `dt`; fictitious time only.
+
+        Parameters
+        ----------
+        dt : float
+            The step to come.
+        """
+        speed = self._pushed(self.state.v)
+        share = np.minimum(self.contacts.pace(speed, np.zeros_like(speed)) / dt, 1.0)
+        if (share == 1.0).all():
+            return
+        v, before = self.state.v, self.scaled_kinetic(self.state.v)
+        for batch in self.model.batches:
+            owner = self.model.gp_block[batch.gridpoints] if batch.in_place else batch.rows
+            mine = v[batch.dofs].reshape(len(owner), -1)
+            mine *= share[owner][:, None]
+        self.damped += 0.5 * (before - self.scaled_kinetic(v))
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""

@@ -224,7 +224,8 @@ class Scene:
         law : Joint
             The law.
         target : selector, optional
-            None: every contact; a group: contacts with a block in it; a joint set: its faces.
+            None: every contact; a group: contacts with a block in it; a joint set: contacts between faces it made;
+            a mesh tag: contacts with a face of that tag.
         between : (selector, selector), optional
             One block in each.
         where : callable, optional

@@ -147,10 +147,13 @@ def stack(body, n=10):
 
 @pytest.mark.parametrize("body", BODIES)
 def test_stack_forces(body):
-    """N_k = (n - k + 1) m g to 1e-4 at a ratio of 1e-5; closures, settlements, even shares."""
+    """N_k = (n - k + 1) m g to 1e-4 at a ratio of 1e-5; closures, settlements, even shares.
+
+    What is unbalanced adds up over the ten cubes: with zones, where it has one sign while they settle, half the ratio.
+    """
     scene, cubes = stack(body)
     sim = fdem.Simulation(scene, fdem.Relaxation())
-    assert sim.solve(ratio=1e-5).converged
+    assert sim.solve(ratio=1e-5 if body == "rigid" else 5e-6).converged
     below = ["base", *cubes[:-1]]
     weights = 2000 * G * np.arange(10, 0, -1)
     forces = np.array([sim.pair_force(a, b) for a, b in zip(below, cubes, strict=True)])
