@@ -31,6 +31,7 @@ bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python benchmarks/kernels.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/step.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/flex.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/jointed.py
 
 docs: $(STAMP)
 	$(BIN)/python tools/api_table.py docs/api.md
