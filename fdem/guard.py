@@ -32,11 +32,10 @@ class Guard:
             Names step, block and gridpoint.
         """
         sim.system.check()
-        deformable = sim.model.deformable
-        if deformable is not None and (inverted := deformable.first_inverted(sim.state.x)) is not None:
-            block = sim.model.names[int(np.flatnonzero(sim.model.zoned)[inverted[0]])]
-            gp = int(deformable.nodes_of(*inverted)[0])
-            sim.system.unstable(gp, f"zone {inverted[1]} of block {block!r} is turned inside out")
+        for batch in sim.model.batches:
+            if (found := batch.inverted(sim.state.q, sim.state.x)) is not None:
+                block, gp, what = found
+                sim.system.unstable(gp, f"block {sim.model.names[block]!r}: {what} is turned inside out")
         if sim.ledger is not None and not sim.integrator.scaled:
             self._energy(sim)
         contacts = sim.system.contacts

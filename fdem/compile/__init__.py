@@ -11,8 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from fdem.compile.assembly import Layout, assemble, in_situ, lay_out
+from fdem.compile.assembly import assemble
+from fdem.compile.formulations import FORMULATIONS
+from fdem.compile.joints import JointTables
+from fdem.compile.layout import Layout, in_situ, lay_out
 from fdem.compile.loads import compile_loads
+from fdem.compile.particles import compile_particles
 from fdem.compile.select import Selector
 from fdem.compile.supports import compile_constraints
 from fdem.constraints import Constraints
@@ -38,7 +42,9 @@ class Compiled:
     model, state : Model, State
         Frozen arrays, and those that change.
     contacts : Contacts or None
-        The contact layer; None where no two blocks can meet.
+        The contact layer of blocks with faces; None where no two of them can meet.
+    particles : SphereContacts or None
+        Contacts with a sphere in them.
     constraints : Constraints
         Fixed and prescribed components.
     loads : list of Load
@@ -52,6 +58,7 @@ class Compiled:
     model: Model
     state: State
     contacts: Any
+    particles: Any
     constraints: Constraints
     loads: list[Load]
     alpha: np.ndarray | None
@@ -83,30 +90,49 @@ def compile_scene(
     """
     layout = lay_out(scene, removed, loads, before)
     model, state = assemble(layout, threads)
-    for batch in model.batches:
-        batch.place(state.q, state.x)
-    state.x_old[:] = state.x
     select = Selector(layout, model)
     numeric, alpha, drags = compile_loads(select)
     constraints = compile_constraints(select)
-    contacts = _contacts(layout, model, select, state)
+    contacts, particles = _contacts(layout, model, select, state)
     _describe(layout, model, contacts, numeric)
-    return Compiled(layout, select, model, state, contacts, constraints, numeric, alpha, drags)
+    return Compiled(layout, select, model, state, contacts, particles, constraints, numeric, alpha, drags)
 
 
-def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> Any:
-    """The contact layer of the model, or None where no two blocks can meet."""
+def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> tuple[Any, Any]:
+    """Contacts of blocks with faces, and of spheres; None each where there is nothing to meet."""
     if model.n_blocks < 2 or model.fixed.all():
         model.notes.append("contacts: left out, there are not two blocks of which one can move")
-        return None
-    from fdem.compile.joints import JointTables
-    from fdem.contact.contacts import Contacts
-    from fdem.contact.surface import BlockSurface
-    from fdem.contact.table import whole_points
+        return None, None
+    tables = JointTables(layout, select)
+    model.notes.extend(tables.notes)
+    faced = np.array([len(loops) > 0 for loops in layout.loops])
+    blocks = _surfaces(layout, model) if faced.any() else []
+    contacts = None
+    if faced.sum() >= 2 and not model.fixed[faced].all():
+        contacts = _face_contacts(layout, model, state, blocks, tables)
+    if faced.all():
+        return contacts, None
+    from fdem.contact.surface import Surfaces
 
+    model.notes.append("spheres: no orientation is kept, their inertia is a number")
+    if contacts is not None:
+        return contacts, compile_particles(layout, model, state, contacts.surfaces, tables)
+    model.notes.append("contacts of faces with faces: left out, no two blocks with faces can meet")
+    surfaces = Surfaces.build(blocks, state.x) if faced.any() else None
+    return None, compile_particles(layout, model, state, surfaces, tables)
+
+
+def _surfaces(layout: Layout, model: Model) -> list[Any]:
+    """Surfaces of all blocks, empty for those without faces."""
+    from fdem.contact.surface import BlockSurface
+
+    none = BlockSurface([], np.zeros(0, dtype=np.int32), True, (0, 0), True, 0.0, np.inf)
     number = {tag: i for i, tag in enumerate(model.tags)}
     surfaces = []
     for i, kind in enumerate(layout.kind):
+        if not len(layout.loops[i]):
+            surfaces.append(none)
+            continue
         start, stop = (int(k) for k in model.gp_range[i])
         deformable = kind == "zoned"
         shape = layout.blocks[i].shape
@@ -122,8 +148,14 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
                 behind=_behind(layout.meshes[i]) + start if deformable else None,
             )
         )
-    tables = JointTables(layout, select)
-    model.notes.extend(tables.notes)
+    return surfaces
+
+
+def _face_contacts(layout: Layout, model: Model, state: State, surfaces: list[Any], tables: JointTables) -> Any:
+    """The contact layer of blocks with faces."""
+    from fdem.contact.contacts import Contacts
+    from fdem.contact.table import whole_points
+
     contacts = Contacts(
         surfaces,
         state.x,
@@ -156,13 +188,15 @@ def _behind(mesh: Any) -> np.ndarray:
 
 def _describe(layout: Layout, model: Model, contacts: Any, loads: list[Load]) -> None:
     """Notes on what this scene does not need."""
-    counts = {kind: len(layout.of_kind(kind)) for kind in ("zoned", "rigid", "static")}
-    model.notes.append(f"blocks: {counts['zoned']} zoned, {counts['rigid']} rigid or driven, {counts['static']} fixed")
-    if not counts["zoned"]:
-        model.notes.append("zones: left out, no block is deformable (gmsh and scikit-fem are not imported)")
-    if not counts["rigid"]:
-        model.notes.append("rigid blocks: left out")
-    if counts["static"]:
+    counts = {row.label: len(layout.of_kind(row.kind)) for row in reversed(FORMULATIONS)}
+    counts["fixed"] = len(layout.of_kind("static"))
+    model.notes.append("blocks: " + ", ".join(f"{n} {label}" for label, n in counts.items() if n))
+    if not layout.of_kind("zoned"):
+        model.notes.append("zones: left out, no block has any (gmsh and scikit-fem are not imported)")
+    absent = [row.label for row in FORMULATIONS if row.kind not in layout.kind]
+    if absent:
+        model.notes.append(f"blocks that are {' or '.join(absent)}: left out")
+    if counts["fixed"]:
         model.notes.append("fixed blocks: no unknowns; contacts between fixed blocks are never looked for")
     if not loads:
         model.notes.append("loads: left out, none is applied")

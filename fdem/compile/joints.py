@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fdem.compile.assembly import Layout
+from fdem.compile.layout import Layout
 from fdem.compile.select import Selector
 from fdem.contact.laws import NEEDS, TAKEN, LawTable, try_law
 from fdem.errors import FdemWarning, JointError
@@ -53,9 +53,17 @@ class JointTables:
         self.corner: list[list[float]] = []
         self.numerical = False  # whether some stiffness was chosen here
         self.location: list[tuple[int, int]] = []
+        self.laws: list[Joint] = []
+        self.stiffness: list[tuple[float, float]] = []
         self._pairs: dict[int, int] = {}
         for rule in self.rules:
-            law, same = rule.law, [i for i, kind in enumerate(self.kinds) if _alike(kind, rule.law)]
+            law = rule.law
+            self.laws.append(law)
+            if not law.for_faces:
+                self.location.append((-1, -1))
+                self.stiffness.append((0.0, 0.0))
+                continue
+            same = [i for i, kind in enumerate(self.kinds) if _alike(kind, law)]
             place = same[0] if same else len(self.kinds)
             if not same:
                 self.kinds.append(law)
@@ -63,7 +71,8 @@ class JointTables:
                 self.reach.append([])
                 self.corner.append([])
             self.location.append((place, len(self.rows[place])))
-            self.rows[place].append(_row(law, *self._stiffness(rule), self.rows[place]))
+            self.stiffness.append(self._stiffness(rule))
+            self.rows[place].append(_row(law, *self.stiffness[-1], self.rows[place]))
             reach = number(type(law).__name__, "reach", law.reach, low=0.0, open_low=True, infinite=True)
             self.reach[place].append(reach)
             self.corner[place].append(law.corner**2)
@@ -134,6 +143,32 @@ class JointTables:
         JointError
             If a contact has no law; names the two blocks.
         """
+        chosen, loose = self._rules_of(block_a, block_b, tag_a, tag_b, points)
+        self._complete(chosen, loose, block_a, block_b)
+        location = np.array(self.location, dtype=np.int32).reshape(-1, 2)
+        bad = np.flatnonzero(location[chosen, 0] < 0)
+        if len(bad):
+            a, b = (self.model.names[i] for i in sorted((block_a[bad[0]], block_b[bad[0]])))
+            law = type(self.laws[chosen[bad[0]]]).__name__
+            raise JointError(
+                f"blocks {a!r} and {b!r} can touch with faces, but {law} is for spheres; add a law for them"
+            )
+        return location[chosen, 0], location[chosen, 1], chosen
+
+    def assign_spheres(
+        self, block_a: np.ndarray, block_b: np.ndarray, tag_a: np.ndarray, tag_b: np.ndarray, points: np.ndarray
+    ) -> np.ndarray:
+        """Rule of contacts with a sphere in them (see `assign`)."""
+        chosen, loose = self._rules_of(block_a, block_b, tag_a, tag_b, points)
+        chosen[:] = np.where(chosen < 0, loose, chosen)
+        if (chosen < 0).any():
+            self._refuse(block_a[np.argmin(chosen)], block_b[np.argmin(chosen)])
+        return chosen
+
+    def _rules_of(
+        self, block_a: np.ndarray, block_b: np.ndarray, tag_a: np.ndarray, tag_b: np.ndarray, points: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Rule of each contact, and the rule of a joint set that one of its two faces was made by; -1: none."""
         chosen = np.full(len(block_a), -1, dtype=np.int32)
         loose = chosen.copy()
         for rule_id, sides in self._tests:
@@ -149,9 +184,7 @@ class JointTables:
             if rule.where is not None and mask.any():
                 mask[mask] = choose("joint", rule.where, points[mask] + self.model.origin)
             chosen[mask] = rule_id
-        self._complete(chosen, loose, block_a, block_b)
-        location = np.array(self.location, dtype=np.int32).reshape(-1, 2)
-        return location[chosen, 0], location[chosen, 1], chosen
+        return chosen, loose
 
     def _complete(self, chosen: np.ndarray, loose: np.ndarray, block_a: np.ndarray, block_b: np.ndarray) -> None:
         """Give contacts that no rule names the law of their pair.
@@ -169,11 +202,12 @@ class JointTables:
             self._pairs = known  # of compile alone, so that a restart decides alike
         for row in np.flatnonzero(chosen < 0):
             if int(pair[row]) not in known:
-                a, b = (self.model.names[i] for i in sorted((block_a[row], block_b[row])))
-                raise JointError(
-                    f"blocks {a!r} and {b!r} can touch, but no joint law covers them; add scene.joint(law)"
-                )
+                self._refuse(block_a[row], block_b[row])
             chosen[row] = known[int(pair[row])]
+
+    def _refuse(self, block_a: int, block_b: int) -> None:
+        a, b = (self.model.names[i] for i in sorted((block_a, block_b)))
+        raise JointError(f"blocks {a!r} and {b!r} can touch, but no joint law covers them; add scene.joint(law)")
 
     def _stiffness(self, rule: JointRule) -> tuple[float, float]:
         """Stiffness of a rule; what the user left out is chosen as CONTACT.md 3.12 proposes."""
@@ -188,6 +222,9 @@ class JointTables:
                 edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
                 lam, mu = material.lame
                 soft.append(((lam + 2 * mu) / edge, material.poisson))
+            for i in layout.of_kind("uniform"):
+                lam, mu = layout.blocks[i].material.lame
+                soft.append(((lam + 2 * mu) / float(np.cbrt(layout.volume[i])), layout.blocks[i].material.poisson))
             if soft:
                 kn, poisson = min(soft)
             else:

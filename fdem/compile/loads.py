@@ -42,18 +42,17 @@ def compile_loads(select: Selector) -> tuple[list[numeric.Load], np.ndarray | No
             boundary.Drag: _drag,
             boundary.Support: _support,
         }
-        result.append(makers.get(type(load), _user)(select, applied))
+        made: Any = makers.get(type(load), _user)(select, applied)
+        result.extend(made if isinstance(made, list) else [made])
     return result, alpha, drags
 
 
 def _block_dofs(model: Model, block: int) -> np.ndarray:
-    row = model.batch_row[block]
-    if row < 0:
+    batch = model.batch_of(block)
+    if batch is None:
         return np.zeros(0, dtype=np.int64)
-    if model.zoned[block]:
-        start, stop = model.gp_range[block]
-        return np.arange(model.deformable.dofs.start + 3 * start, model.deformable.dofs.start + 3 * stop)
-    return np.arange(6 * row, 6 * row + 6)
+    own = batch.dofs_of(model.batch_row[block])
+    return np.arange(own.start, own.stop)
 
 
 def _force(select: Selector, applied: Applied) -> numeric.Load:
@@ -92,21 +91,23 @@ def _mass_shares(select: Selector, applied: Applied) -> tuple[np.ndarray, np.nda
     return np.concatenate(gps), total / total.sum()
 
 
-def _moment(select: Selector, applied: Applied) -> numeric.Load:
-    """Forces m (theta x r) on each block's gridpoints, whose moment about the centroid is the block's share."""
+def _moment(select: Selector, applied: Applied) -> list[numeric.Load]:
+    """Every block takes a share of the moment by its mass."""
     model, blocks = select.model, select.blocks(applied.target, "Moment")
     value = np.asarray(applied.load.value, dtype=float)
     mass = np.array([max(model.mass[b], np.finfo(float).tiny) for b in blocks])
-    gps, forces = [], []
+    parts, dofs, turning = [], [], []
     for block, share in zip(blocks, mass / mass.sum(), strict=True):
-        gp = np.arange(*model.gp_range[block])
-        weight = model.gp_mass[gp] if model.zoned[block] else np.ones(len(gp))
-        arm = model.X[gp] - weight @ model.X[gp] / weight.sum()
-        inertia = (weight @ (arm * arm).sum(axis=1)) * np.eye(3) - np.einsum("n,ni,nj->ij", weight, arm, arm)
-        spin = np.linalg.solve(inertia, share * value)
-        gps.append(gp)
-        forces.append(weight[:, None] * np.cross(spin, arm))
-    return numeric.DeadLoad(applied, np.concatenate(gps), np.vstack(forces))
+        batch = model.batch_of(block)
+        if model.gp_range[block, 1] - model.gp_range[block, 0] == 1:
+            if batch is not None:
+                dofs.append(batch.dofs_of(model.batch_row[block]).start + 3)
+                turning.append(share * value)
+            continue
+        gp, massive = np.arange(*model.gp_range[block]), bool(model.zoned[block])
+        parts.append((gp, model.gp_mass[gp] if massive else np.ones(len(gp)), share * value, massive))
+    result: list[numeric.Load] = [numeric.Couple(applied, parts)] if parts else []
+    return [*result, numeric.Torque(applied, np.array(dofs), np.array(turning))] if dofs else result
 
 
 def _traction(select: Selector, applied: Applied) -> numeric.Load:

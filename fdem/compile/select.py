@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from fdem.compile.assembly import Layout
-from fdem.errors import SceneError
+from fdem.compile.layout import Layout
+from fdem.errors import SceneError, UnsupportedError
 from fdem.model import Model
 from fdem.scene.scene import Gridpoint, choose
 
@@ -94,11 +94,6 @@ class Selector:
         a, b, c = (self.model.X[self.model.triangles[rows, k]] for k in range(3))
         return 0.5 * np.cross(b - a, c - a)
 
-    def dof_rows(self, gp: np.ndarray) -> np.ndarray:
-        """First velocity dof of zoned gridpoints."""
-        first = self.model.deformable.dofs.start
-        return first + 3 * gp
-
     def affine(self, block: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gridpoints and weights of a material point of `block` (exact for affine motion).
 
@@ -120,6 +115,13 @@ class Selector:
                 raise SceneError(f"Force: at = {where} lies outside block {model.names[block]!r}")
             return zones[best], weights[best]
         gp = np.arange(*model.gp_range[block])
+        if len(gp) == 1:
+            if np.linalg.norm(point - model.X[gp[0]]) > 1e-9 * model.size[block]:
+                raise UnsupportedError(
+                    f"Force: block {model.names[block]!r} is a sphere without orientation, forces act at its centre; "
+                    "Rigid(orientation=True) gives it one"
+                )
+            return gp, np.ones(1)
         chosen = gp[_spread(model.X[gp])]
         corners = model.X[chosen]
         inner = np.linalg.solve((corners[1:] - corners[0]).T, point - corners[0])

@@ -38,9 +38,10 @@ def candidate_pairs(surfaces: Surfaces, x: Array, skins: Array, may_touch: Calla
     """
     s = surfaces
     points = x[s.surface_gp]
-    lower = np.minimum.reduceat(points, s.surface_start[:-1], axis=0)
-    upper = np.maximum.reduceat(points, s.surface_start[:-1], axis=0)
-    pairs: Ints = kernels.box_pairs(lower, upper, REACH * skins, s.fixed)
+    faced = np.flatnonzero(np.diff(s.surface_start))
+    lower = np.minimum.reduceat(points, s.surface_start[faced], axis=0)
+    upper = np.maximum.reduceat(points, s.surface_start[faced], axis=0)
+    pairs: Ints = faced[kernels.box_pairs(lower, upper, REACH * skins[faced], s.fixed[faced])].astype(np.int32)
     if may_touch is not None and len(pairs):
         pairs = pairs[np.asarray(may_touch(pairs[:, 0], pairs[:, 1]), dtype=bool)]
     return pairs

@@ -36,7 +36,7 @@ class BlockSurface:
     Parameters
     ----------
     loops : (k, 3) array or list of int arrays
-        Global gridpoint ids of every face, counter-clockwise seen from outside.
+        Global gridpoint ids of every face, counter-clockwise seen from outside; empty for spheres.
     tags : (k,) int array
         Tag of every face, -1 for none.
     affine : bool
@@ -142,12 +142,12 @@ class Surfaces:
         MeshError
             A block has no face or a degenerate one.
         """
-        parts = [_faces_of(b, x, index) for index, b in enumerate(blocks)]
+        parts = [_faces_of(b, x, index) if len(b.loops) else _NO_FACES for index, b in enumerate(blocks)]
         counts = [len(p.ref) for p in parts]
         corners = [len(p.corner_w) for p in parts]
         first_face = np.r_[0, np.cumsum(counts)]
         first_corner = np.r_[0, np.cumsum(corners)]
-        surface_gp = [np.unique(p.vertices) for p in parts]
+        surface_gp = [p.vertices if p is _NO_FACES else np.unique(p.vertices) for p in parts]
 
         def cat(arrays: list[Any], dtype: Any = np.int32) -> Any:
             return np.ascontiguousarray(np.concatenate(arrays), dtype=dtype)
@@ -268,9 +268,17 @@ class _Faces:
     vertices: Ints
 
 
+def _no_faces() -> _Faces:
+    """Of a sphere, which meets others in its own way."""
+    none = np.zeros(0, np.int32)
+    zero = np.zeros(1, np.int32)
+    return _Faces(none.reshape(0, 4), none.astype(np.uint8), none, none, zero, np.zeros((0, 2)), none, none)
+
+
+_NO_FACES = _no_faces()
+
+
 def _faces_of(block: BlockSurface, x: Array, index: int) -> _Faces:
-    if len(block.loops) == 0:
-        raise MeshError(f"block {index}: its surface has no face")
     return _affine_faces(block, x, index) if block.affine else _triangle_faces(block, index)
 
 

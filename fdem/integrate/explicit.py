@@ -48,7 +48,7 @@ class Local:
         before = v + system.lag * system.accelerate(f)
         free = f.copy()
         system.constraints.release(free)
-        resist = self.coefficient * np.abs(free) * np.sign(before)
+        resist = system.resist(self.coefficient, free, before)
         a = system.accelerate(f - resist)
         system.damped += h * float(resist @ (v + 0.5 * h * a))
         # fictitious masses and time know no drag, and it is gone at rest
@@ -96,7 +96,7 @@ class Adaptive:
 
     def _measure(self, system: Any, change: np.ndarray) -> None:
         v = system.state.v.copy()
-        system.constraints.release(v)
+        system.constraints.still(v)
         twice = system.scaled_kinetic(v)
         if twice > 0.0:
             system.omega = float(np.sqrt(max(change @ v, 0.0) / (system.dt * twice)))

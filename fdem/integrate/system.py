@@ -12,7 +12,7 @@ from fdem.blocks.bounds import Springs
 from fdem.constraints import Constraints
 from fdem.contact.wear import refuse_leaps
 from fdem.errors import UnstableError
-from fdem.loads import Bedding, Dashpot, Load
+from fdem.loads import Bedding, Dashpot, Load, Torque
 from fdem.model import Model
 from fdem.state import State
 
@@ -30,6 +30,8 @@ class System:
         What compile made.
     contacts : Contacts or None
         The contact layer.
+    particles : SphereContacts or None
+        Contacts with a sphere in them.
     constraints : Constraints
         Fixed and prescribed components.
     loads : list of Load
@@ -45,12 +47,13 @@ class System:
         model: Model,
         state: State,
         contacts: Any,
+        particles: Any,
         constraints: Constraints,
         loads: list[Load],
         alpha: np.ndarray | None,
         energy: bool = True,
     ) -> None:
-        self.model, self.state, self.contacts = model, state, contacts
+        self.model, self.state, self.contacts, self.particles = model, state, contacts, particles
         self.constraints, self.loads, self.alpha = constraints, loads, alpha
         self.rate: Any = alpha  # all mass-proportional damping, that of the integrator included [1/s]
         self.lag = 0.0  # time by which v is behind q: 0 before the first step, then half a step [s]
@@ -74,14 +77,13 @@ class System:
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
         self._first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
         self.stiffening = contacts is not None and contacts.curved  # joints whose stiffness grows as they close
-        self._keeps_old = contacts is not None or self._load_old is not None
+        self._torques = [load for load in loads if isinstance(load, Torque)]
+        self._turning = np.zeros_like(state.v) if self._torques else None
+        self._turning_old = np.zeros_like(state.v) if self._torques and energy else None
+        self._keeps_old = contacts is not None or particles is not None or self._load_old is not None
         self.weight = self._weight()
+        self.weigh()
         self._terms = self._choose_terms()
-        self._held = constraints.held() if constraints.moving else None
-        mobile = ~model.fixed[model.gp_block]
-        self._radius = float(
-            np.linalg.norm((model.X - model.centroid[model.gp_block])[mobile], axis=1).max(initial=0.0)
-        )
         self._smallest = float(model.size[~model.fixed].min(initial=np.inf))
 
     def _choose_terms(self) -> tuple[Callable[[], None], ...]:
@@ -90,12 +92,15 @@ class System:
         terms: list[Callable[[], None]] = []
         if self.contacts is not None:
             terms.append(lambda: self.contacts.forces(state.x, state.x_old, self._real_dt, state.f_gp))
+        if self.particles is not None:
+            terms.append(lambda: self.particles.forces(state.x, state.x_old, self._real_dt, state.f_gp, state.f))
+        if terms:
             for batch in self.model.batches:
                 if not batch.in_place:
                     terms.append(partial(batch.pull, state.q, state.f_gp, state.f))
         for batch in self.model.batches:
             if batch.has_internal:
-                terms.append(partial(batch.internal, state.x, state.f))
+                terms.append(partial(batch.internal, state.q, state.x, state.f))
         terms.append(self._keep_elastic)
         if self.loads:
             terms.append(self._add_loads)
@@ -124,6 +129,11 @@ class System:
             load.add(state.t, state.step, state.x, self.xdot, total)
         for batch in self.model.batches:
             batch.pull(state.q, total, state.f)
+        if self._turning is not None:
+            self._turning.fill(0.0)
+            for torque in self._torques:
+                torque.turn(state.t, self._turning)
+            state.f += self._turning
 
     def forces(self) -> np.ndarray:
         """Generalised forces f(t, q, v) of the present configuration [N, N m]."""
@@ -140,8 +150,15 @@ class System:
         """Accelerations M^-1 f with the constrained part set to zero."""
         for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
             batch.accelerate(self.state.q, f, self.a, scaled)
-        self.constraints.release(self.a)
+        self.constraints.still(self.a)
         return self.a
+
+    def resist(self, share: float, f: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Forces that resist the motion `v`, a `share` of the forces `f` by components (n_dofs,)."""
+        result = np.empty_like(f)
+        for batch in self.model.batches:
+            batch.resist(self.state.q, f, v, share, result)
+        return result
 
     def prescribe(self, dt: float) -> None:
         """Give constrained velocities their values in the middle of the step of length `dt` [s]."""
@@ -152,12 +169,16 @@ class System:
         self.work += self.pending_work()
         if self._load_old is not None:
             self._load_old[:] = self.f_load
+        if self._turning_old is not None:
+            self._turning_old[:] = self._turning
         if self._reaction_old is not None:
             self._reaction_old[:] = self.state.f
         if self.elastic is not None:
             self.elastic, self.elastic_old = self.elastic_old, self.elastic
         if self.contacts is not None:
             self.contacts.commit()
+        if self.particles is not None:
+            self.particles.commit()
         if self._keeps_old:
             self.state.x_old[:] = self.state.x
 
@@ -167,16 +188,18 @@ class System:
         if self._load_old is not None and self.state.step > 0:
             moved = self.state.x - self.state.x_old
             work += 0.5 * float(np.vdot(self._load_old + self.f_load, moved))
-        if self._reaction_old is not None and self._held is not None and self.state.step > 0:
-            held = self._held
-            work -= 0.5 * self.dt * float((self._reaction_old + self.state.f)[held] @ self.state.v[held])
+        if self._turning_old is not None and self.state.step > 0:
+            work += 0.5 * self.dt * float((self._turning_old + self._turning) @ self.state.v)
+        if self._reaction_old is not None and self.state.step > 0:
+            given = self.constraints.given(self.state.v)
+            work -= 0.5 * self.dt * float((self._reaction_old + self.state.f) @ given)
         return work
 
     def advance(self, dt: float) -> None:
         """Move the configuration by `dt` [s] with the present velocities; look for contacts if due."""
         state = self.state
-        for batch in self.model.batches:
-            batch.advance(state.q, state.v, dt)
+        for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
+            batch.advance(state.q, state.v, dt, scaled)
             batch.place(state.q, state.x)
         state.t += dt
         state.step += 1
@@ -185,6 +208,8 @@ class System:
         if self.contacts is not None and (self.contacts.update(state.x) or self.contacts.stiffer):
             self.stale = True
             refuse_leaps(self.contacts, state.x_old, state.x)
+        if self.particles is not None and self.particles.update(state.x, state.x_old, state.v, dt):
+            self.stale = True
 
     def velocity(self) -> np.ndarray:
         """Velocities at the time of the configuration, not half a step behind (n_dofs,)."""
@@ -197,8 +222,8 @@ class System:
         else:
             half = 0.5 * self.lag * self.rate
             v = ((1.0 - half) * self.state.v + self.lag * self.a) / (1.0 + half)
-        if self._held is not None:
-            v[self._held] = self.state.v[self._held]
+        if self.constraints.moving:
+            self.constraints.keep(v, self.state.v)
         return v
 
     def springs(self) -> Springs:
@@ -207,10 +232,26 @@ class System:
         for load in self.loads:
             if isinstance(load, Bedding):
                 bedding[load.gp] += np.linalg.norm(load.matrices, 2, axis=(1, 2))
-        return Springs(self.state.x, bedding, self.contacts, self.model.gp_block, ~self.model.fixed)
+        particles = None
+        if self.particles is not None:
+            particles = self.particles.springs(self.state.x, self._speeds())
+            bedding += particles.on_faces(len(bedding))
+        return Springs(self.state.x, bedding, self.contacts, self.model.gp_block, ~self.model.fixed, particles)
+
+    def _speeds(self) -> np.ndarray:
+        """Gridpoint velocities (n_gp, 3) [m/s]; zero in fictitious time."""
+        speed = np.zeros_like(self.state.x)
+        if not self.fictitious:
+            for batch in self.model.batches:
+                batch.push(self.state.q, self.state.v, speed)
+        return speed
 
     def stiffened(self) -> bool:
         """Whether contact stiffness grew by 2 % of its block's largest anywhere, or halved in all, since last asked."""
+        if self.particles is not None and self.particles.stiffened(self._speeds()):
+            return True
+        if self.contacts is None:
+            return False
         k, model = self.springs().k_gp, self.model
         if self._k_used is not None:
             largest = np.zeros(model.n_blocks)
@@ -248,13 +289,15 @@ class System:
         self.damped += 0.5 * (before - self.scaled_kinetic(state.v))
 
     def _speed_bound(self) -> float:
-        """At least the largest speed of any gridpoint [m/s], from the unknowns alone."""
-        bound = 0.0
+        """At least the largest speed of any gridpoint [m/s]."""
+        bound, speed = 0.0, np.zeros_like(self.state.x)
         for batch in self.model.batches:
-            v = np.abs(self.state.v[batch.dofs])
-            if not batch.in_place:  # translations and rotations in turn
-                v = v.reshape(-1, 3)[::2].max(axis=1) + self._radius * v.reshape(-1, 3)[1::2].max(axis=1)
-            bound = max(bound, 2.0 * float(v.max(initial=0.0)))  # 2 > sqrt(3): of a component
+            if batch.in_place:
+                bound = max(bound, 2.0 * float(np.abs(self.state.v[batch.dofs]).max(initial=0.0)))  # 2 > sqrt(3)
+            else:
+                batch.push(self.state.q, self.state.v, speed)
+                own = speed[batch.gridpoints]
+                bound = max(bound, float(np.sqrt(np.einsum("ni,ni->n", own, own).max(initial=0.0))))
         return bound
 
     def safe_closing(self) -> float:
@@ -298,17 +341,13 @@ class System:
         return result
 
     def dashpot_rate(self) -> float:
-        """Bound of the decay rate 2 zeta omega [1/s] that dashpots on faces give a gridpoint."""
+        """Bound of the decay rate 2 zeta omega [1/s] that dashpots on faces give a gridpoint or a block."""
         rate = 0.0
         for load in self.loads:
             if isinstance(load, Dashpot):
-                strength = np.linalg.norm(load.matrices, 2, axis=(1, 2))
-                movable = self.model.gp_mass[load.gp] > 0
-                # the gridpoints of a block that moves as a whole share its mass; 4 covers its rotation
-                owner = self.model.gp_block[load.gp]
-                per_block = np.bincount(owner, strength, self.model.n_blocks)
-                lumped = np.where(load.gp < self._first_pulled, strength, 4.0 * per_block[owner])
-                rate = max(rate, float((lumped[movable] / self.model.gp_mass[load.gp][movable]).max(initial=0.0)))
+                strength = np.zeros(len(self.model.X))
+                strength[load.gp] = np.linalg.norm(load.matrices, 2, axis=(1, 2))
+                rate = max([rate, *(batch.decay_bound(self.state.q, strength) for batch in self.model.batches)])
         return rate
 
     @property
@@ -327,6 +366,14 @@ class System:
         self.fictitious = True
         springs = self.springs()
         self.scaled = [batch.scaled_masses(self.state.q, springs, swing) for batch in self.model.batches]
+        self.weigh()
+
+    def weigh(self) -> None:
+        """Tell conditions on blocks whose mass couples their unknowns what that mass is."""
+        for group in self.constraints.coupled:
+            batch, number = self.model.batch_of(group.block), self.model.batch_index[group.block]
+            row = int(self.model.batch_row[group.block])
+            group.weigh(batch.inverse_mass(row, self.state.q, self.scaled[number]))
 
     def scaled_kinetic(self, v: np.ndarray) -> float:
         """``v.M v`` with the fictitious masses."""
@@ -341,8 +388,8 @@ class System:
     def kinetic(self) -> float:
         """Kinetic energy [J] of what is free to move, at the time of the configuration."""
         v = self.velocity()
-        if self._held is not None:
-            v[self._held] = 0.0
+        if self.constraints.moving:
+            v -= self.constraints.given(v)
         return sum(batch.kinetic(self.state.q, v) for batch in self.model.batches)
 
     def ratio(self) -> float:
@@ -352,11 +399,15 @@ class System:
         self.constraints.release(unbalanced)
         pushes = np.linalg.norm(self.state.f_gp, axis=1)
         pushes[: self._first_pulled] = 0.0  # there f_gp is the sum of all forces
+        if self.particles is not None:
+            self.particles.add_pushes(pushes)
         if self.f_load is not None:
             pushes += np.linalg.norm(self.f_load, axis=1)
         gravity = float(np.linalg.norm(self.model.gravity))
         pairs = zip(self.model.batches, self.scaled, strict=True)
-        shares = [batch.unbalance(self.state.x, unbalanced, pushes, gravity, scaled) for batch, scaled in pairs]
+        shares = [
+            batch.unbalance(self.state.q, self.state.x, unbalanced, pushes, gravity, scaled) for batch, scaled in pairs
+        ]
         return max(shares, default=0.0)
 
     def check(self) -> None:

@@ -30,6 +30,8 @@ class Cells:
         Gridpoints of the zones.
     triangles : (k, 3) int32 array
         Gridpoints of the surface triangles of the blocks that have no zones.
+    surface : (k,) int32 array
+        Their rows among the surface triangles of the model.
     block : (m + k,) int32 array
         Block of each cell.
     group : (m + k,) int32 array
@@ -40,6 +42,7 @@ class Cells:
 
     zones: Ints
     triangles: Ints
+    surface: Ints
     block: Ints
     group: Ints
     groups: list[str]
@@ -59,7 +62,8 @@ def cells_of(model: Any) -> Cells:
     block = np.concatenate([model.zone_block, model.triangle_block[bare]]).astype(np.int32)
     group, groups = group_ids(model)
     zones = np.asarray(model.zones, dtype=np.int32).reshape(-1, 4)
-    return Cells(zones, np.asarray(model.triangles[bare], dtype=np.int32), block, group[block], groups)
+    surface = np.flatnonzero(bare).astype(np.int32)
+    return Cells(zones, np.asarray(model.triangles[bare], dtype=np.int32), surface, block, group[block], groups)
 
 
 def full_tensor(voigt: Array) -> Array:
@@ -71,11 +75,11 @@ def full_tensor(voigt: Array) -> Array:
 
 
 def cell_stress(view: Any, cells: Cells) -> Array:
-    """Cauchy stress of each cell [Pa], tension positive, (n_cells, 6): the zone's, or its block's."""
+    """Cauchy stress of each cell [Pa], tension positive, (n_cells, 6): the zone's, or its block's in that place."""
     stress = np.empty((len(cells.block), 6))
     m = len(cells.zones)
     stress[:m] = view.zone_stresses() if m else 0.0
-    stress[m:] = view.block_stress()[cells.block[m:]]
+    stress[m:] = view.surface_stress(cells.surface)
     return stress
 
 

@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fdem.errors import UnsupportedError
+from fdem.errors import SceneError, UnsupportedError
 from fdem.scene.checks import number
 
-__all__ = ["BartonBandis", "Bonded", "Coulomb", "Joint"]
+__all__ = ["BartonBandis", "Bonded", "Coulomb", "Hertz", "Joint"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +52,7 @@ class Joint:
     closure: ClassVar[Any] = None
     memory: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[frozenset[str] | set[str]] = frozenset()
+    for_faces: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
@@ -122,6 +123,8 @@ class Coulomb(Joint):
     Rolling and twisting are elastic-plastic, their couple comes on top of what pressure and friction of the patch give.
     With the area A, its second moments A S and the length L, a relative rotation in the plane of the patch is resisted
     by ``kn A (S + L^2)``, one about its normal by ``ks A (tr S + L^2)``, until the couple is L times the normal force.
+    Spheres: kn and ks times the reference area ``pi r^2`` of the smaller sphere are linear springs. Rolling and
+    twisting there are springs ``k l^2`` of the length l given and of the normal and the shear spring.
     """
 
     friction: float
@@ -293,6 +296,75 @@ class BartonBandis(Joint):
     def damping_ratio(self) -> float:
         """Fraction of critical damping."""
         return float(self.damping)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hertz(Joint):
+    """Elastic contact of spheres by Hertz, friction by a simplified Mindlin spring with history; for spheres only.
+
+    Parameters
+    ----------
+    friction : float
+        Friction angle [deg].
+    young : float, optional
+        Young's modulus [Pa] of every body in contact that has a material; None: that of its material.
+    poisson : float, optional
+        Poisson's ratio, given together with `young`.
+    restitution : float, optional
+        Restitution coefficient of the normal impact, the same at every speed.
+    rolling, twisting : float, optional
+        Rolling and twisting resistance: lengths [m] that times the normal force limit the couples.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range.
+
+    Notes
+    -----
+    With ``1/E* = sum (1 - nu^2)/E``, ``1/G* = sum (2 - nu)/G``, ``1/R* = sum 1/R`` (a plane has R infinite, a fixed
+    body without material has E infinite) and the overlap d:
+
+    - ``N = 4/3 E* sqrt(R*) d^(3/2) + c d^(1/4) d'``, never less than 0, c from `restitution`;
+    - shear: a spring ``8 G* sqrt(R* d)`` with history, cut at ``N tan(friction)``, and a dashpot of the same fraction
+      of critical. Mindlin's partial slip is left out: below gross slip a loop dissipates nothing. Where the contact
+      grows the shear force stays, where it shrinks it falls with the stiffness, so that no energy comes from it.
+
+    References
+    ----------
+    Johnson (1985), Contact Mechanics, chapters 4 and 7; Antypov, Elliott (2011), EPL 94, 50004 (damping); Thornton,
+    Cummins, Cleary (2013), Powder Technology 233, 30-46 (history).
+    """
+
+    friction: float
+    young: float | None = None
+    poisson: float | None = None
+    restitution: float = 1.0
+    rolling: float = 0.0
+    twisting: float = 0.0
+    kernel: ClassVar[str] = "hertz"
+    for_faces: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        for field in ("kn", "ks"):
+            if getattr(self, field) is not None:
+                raise SceneError(
+                    f"Hertz: {field} = {getattr(self, field)!r}: its stiffness follows from young and poisson"
+                )
+        number("Hertz", "friction", self.friction, low=0.0, high=90.0, open_high=True)
+        number("Hertz", "restitution", self.restitution, low=0.0, high=1.0)
+        for field in ("rolling", "twisting"):
+            number("Hertz", field, getattr(self, field), low=0.0)
+        if (self.young is None) != (self.poisson is None):
+            raise SceneError(f"Hertz: young = {self.young!r} and poisson = {self.poisson!r}: give both or none")
+        if self.young is not None:
+            number("Hertz", "young", self.young, low=0.0, open_low=True)
+            number("Hertz", "poisson", self.poisson, low=-1.0, high=0.5, open_low=True)
+
+    @property
+    def damping_ratio(self) -> float:
+        """Fraction of critical damping of the contact, as that of a linear one (contact/particles.py)."""
+        return _damping_of(float(self.restitution))
 
 
 def _damping_of(restitution: float) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fdem.errors import SceneError
-from fdem.scene.bodies import Rigid, Zoned
+from fdem.scene.bodies import BODIES, Rigid
 from fdem.scene.checks import number, vector
 from fdem.scene.handles import (
     Applied,
@@ -27,7 +27,7 @@ from fdem.scene.handles import (
 )
 from fdem.scene.joints import Bonded, Joint
 from fdem.scene.materials import Elastic
-from fdem.scene.shapes import Shape, Surface
+from fdem.scene.shapes import Balls, Shape, Surface
 
 __all__ = ["Applied", "Block", "Fix", "Gridpoint", "JointRule", "Scene", "Where", "choose", "surface_of", "tags_of"]
 
@@ -68,7 +68,7 @@ class Scene:
     def add(
         self,
         shape: Any,
-        body: Rigid | Zoned,
+        body: Any,
         material: Elastic | None = None,
         *,
         name: str | None = None,
@@ -83,7 +83,7 @@ class Scene:
         ----------
         shape : Shape or list of Shape
             Geometry [m]; closed pyvista surfaces, skfem and meshio meshes are shapes too.
-        body : Rigid or Zoned
+        body : Rigid, UniformStrain or Zoned
             How it moves.
         material : Elastic, optional
             What it is made of; not needed by fixed rigid blocks.
@@ -147,15 +147,20 @@ class Scene:
             Naming block, field and value.
         """
         who, body, material = f"block {block.name!r}", block.body, block.material
-        if not isinstance(body, (Rigid, Zoned)):
-            raise SceneError(f"{who}: body = {body!r}, allowed are Rigid() and Zoned()")
+        if not isinstance(body, BODIES):
+            allowed = ", ".join(f"{kind.__name__}()" for kind in BODIES)
+            raise SceneError(f"{who}: body = {body!r}, allowed are {allowed}")
         if material is not None and not isinstance(material, Elastic):
             raise SceneError(f"{who}: material = {material!r}, allowed is an Elastic")
+        if isinstance(block.shape, Balls) and (body.deforms or callable(getattr(material, "density", None))):
+            raise SceneError(
+                f"{who}: spheres and clumps are Rigid() and have one density; icosphere() has no such bounds"
+            )
         if isinstance(block.shape, Surface) and not (block.fixed and isinstance(body, Rigid)):
             raise SceneError(f"{who}: shape is an open surface: only fixed rigid blocks can have one")
         if material is None and not block.fixed:
             raise SceneError(f"{who}: material is missing; only fixed blocks need none")
-        if isinstance(body, Zoned) and not block.fixed and (material is None or material.young is None):
+        if body.deforms and not block.fixed and (material is None or material.young is None):
             raise SceneError(f"{who}: material has no young and poisson, a deformable block needs both")
 
     def regroup(self, block: Block, group: str | None) -> None:
@@ -254,7 +259,7 @@ class Scene:
         return rule
 
     def fix(self, target: Any = None, component: Any = None, where: Where | None = None) -> Fix:
-        """Fix gridpoints, or whole rigid blocks.
+        """Fix gridpoints of zoned blocks, or whole blocks of other kinds.
 
         Parameters
         ----------

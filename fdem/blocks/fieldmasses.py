@@ -1,0 +1,165 @@
+"""Masses of polynomial blocks (`fields`) against springs: highest frequencies, fictitious masses for relaxation."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from fdem.blocks.bounds import Springs
+from fdem.kernels import fields as kernels
+
+if TYPE_CHECKING:
+    from fdem.blocks.fields import FieldBlocks
+
+__all__ = [
+    "GRADIENTS",
+    "axial",
+    "cross",
+    "fictitious",
+    "inner",
+    "inverse",
+    "largest",
+    "masses",
+    "outer",
+    "spread",
+    "turns",
+]
+
+Array = npt.NDArray[np.float64]
+
+# fictitious mass of motions that no strain and no joint resists, over what the joints of a block would give it
+LOOSE = 0.1
+# the same over the strains of a block, where no joint is near
+FREE = 0.05
+
+
+def _gradients() -> Array:
+    """Gradients (9, 3, 3) of the theory's rotations and strains (xx yy zz yz zx xy, engineering shear)."""
+    result = np.zeros((9, 3, 3))
+    for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):
+        result[i, k, j], result[i, j, k] = 1.0, -1.0
+        result[3 + i, i, i] = 1.0
+        result[6 + i, j, k] = result[6 + i, k, j] = 0.5
+    return result
+
+
+def cross(vectors: Array) -> Array:
+    """Matrices (n, 3, 3) of the cross products with vectors (n, 3)."""
+    return np.einsum("ni,ijk->njk", vectors, GRADIENTS[:3])
+
+
+def axial(tensors: Array) -> Array:
+    """``sum r x p`` (n, 3) of the sums ``sum p r^T`` (n, 3, 3)."""
+    return np.einsum("njk,ijk->ni", tensors, GRADIENTS[:3])
+
+
+def inverse(matrices: Array) -> Array:
+    """Inverses of symmetric positive matrices (n, m, m), scaled first by powers of two to a diagonal near 1."""
+    scale = np.exp2(-np.round(0.5 * np.log2(np.diagonal(matrices, axis1=1, axis2=2))))
+    both = scale[:, :, None] * scale[:, None, :]
+    result = np.linalg.inv(matrices * both) * both
+    return np.ascontiguousarray(0.5 * (result + np.swapaxes(result, 1, 2)))
+
+
+GRADIENTS = _gradients()
+
+
+def masses(blocks: FieldBlocks) -> Array:
+    """Mass matrices (n_blocks, width, width)."""
+    result = np.zeros((blocks.n_blocks, blocks.width, blocks.width))
+    for d in range(3):
+        result[:, d, d] = blocks.mass
+        part = slice(3 + d * blocks.k, 3 + (d + 1) * blocks.k)
+        result[:, part, part] = blocks.moments
+    return result
+
+
+def outer(blocks: FieldBlocks, springs: Springs) -> Array:
+    """Stiffness (n_blocks, width, width) of joints, as if closed, and of bedding."""
+    result = np.zeros((blocks.n_blocks, blocks.width, blocks.width))
+    if springs.contacts is not None:
+        place = np.full(len(springs.mobile), -1)
+        place[blocks.rows] = np.arange(blocks.n_blocks)
+        gp, w, frame, kn, ks = springs.rows
+        kernels.joint_stiffness(
+            gp, w, frame, kn, ks, springs.x, springs.gp_block, springs.mobile, place, blocks.phi,
+            blocks.gridpoints.start, result,
+        )  # fmt: skip
+    return result + spread(blocks, springs.bedding)
+
+
+def spread(blocks: FieldBlocks, k_gp: Array) -> Array:
+    """``P^T diag(k_gp) P`` (n_blocks, width, width) of the same `k_gp` (n_gp,) in all directions."""
+    value = np.concatenate([np.ones((len(blocks.phi), 1)), blocks.phi], axis=1)
+    pairs = k_gp[blocks.gridpoints][:, None, None] * value[:, :, None] * value[:, None, :]
+    sums = np.add.reduceat(pairs, blocks._start[:-1], axis=0)
+    result = np.zeros((blocks.n_blocks, blocks.width, blocks.width))
+    for d in range(3):
+        index = np.r_[d, 3 + d * blocks.k : 3 + (d + 1) * blocks.k]
+        result[:, index[:, None], index] = sums
+    return result
+
+
+def _root(blocks: FieldBlocks) -> Array:
+    """Matrices L^-1 (n_blocks, width, width) of the Cholesky factors of the mass matrices."""
+    root = np.zeros((blocks.n_blocks, blocks.width, blocks.width))
+    lower = np.linalg.inv(np.linalg.cholesky(blocks.moments))
+    for d in range(3):
+        root[:, d, d] = 1.0 / np.sqrt(blocks.mass)
+        part = slice(3 + d * blocks.k, 3 + (d + 1) * blocks.k)
+        root[:, part, part] = lower
+    return root
+
+
+def largest(blocks: FieldBlocks, stiffness: Array) -> Array:
+    """Largest eigenvalues (n_blocks,) of ``M^-1 K`` for K (n_blocks, width, width) [1/s^2]."""
+    root = _root(blocks)
+    return np.maximum(np.linalg.eigvalsh(root @ stiffness @ np.swapaxes(root, 1, 2))[:, -1], 0.0)
+
+
+def inner(blocks: FieldBlocks, q: Array) -> Array:
+    """`FieldBlocks.stiffness` among all unknowns (n_blocks, width, width)."""
+    result = np.zeros((blocks.n_blocks, blocks.width, blocks.width))
+    result[:, 3:, 3:] = blocks.stiffness(q)
+    return result
+
+
+def fictitious(blocks: FieldBlocks, q: Array, springs: Springs, swing: float) -> Array:
+    """Fictitious mass matrices and their inverses (2, n_blocks, width, width), in the frames of the blocks.
+
+    The matrix is the stiffness of the block, strains and joints together: all its motions then take the same time,
+    however stiff the rock and however soft the joints. What neither resists gets a share of the true mass. `swing` is
+    the largest factor by which damping stiffens springs.
+    """
+    joints = outer(blocks, springs)
+    held = largest(blocks, joints)
+    strains = 2.0 * blocks.mu * blocks.volume / np.linalg.eigvalsh(blocks.moments)[:, -1]
+    loose = np.where(held > 0.0, LOOSE * held, springs.kn * blocks.size**2 / blocks.mass)
+    loose = np.where(loose > 0.0, loose, FREE * strains)
+    turn, root = turns(blocks, q), _root(blocks)
+    # mass and placement do not turn with the block, its strains do
+    stiffness = np.swapaxes(turn, 1, 2) @ (inner(blocks, q) + joints) @ turn
+    squares, modes = np.linalg.eigh(root @ stiffness @ np.swapaxes(root, 1, 2))
+    # compression takes stiffness away: its size counts, for a mass must be positive
+    squares = swing * (np.abs(squares) + loose[:, None])
+    back = np.swapaxes(root, 1, 2) @ modes
+    forth = masses(blocks) @ back
+    return np.stack(
+        [
+            (forth * squares[:, None, :]) @ np.swapaxes(forth, 1, 2),
+            (back / squares[:, None, :]) @ np.swapaxes(back, 1, 2),
+        ]
+    )
+
+
+def turns(blocks: FieldBlocks, q: Array) -> Array:
+    """Matrices (n_blocks, width, width) that turn unknowns from the frames of the blocks to global axes."""
+    result = np.zeros((blocks.n_blocks, blocks.width, blocks.width))
+    rotation = blocks.rotation(q)
+    result[:, :3, :3] = rotation
+    for m in range(blocks.k):
+        index = 3 + m + blocks.k * np.arange(3)
+        result[:, index[:, None], index] = rotation
+    return result
