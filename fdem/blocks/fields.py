@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fdem.blocks import fieldmasses
+from fdem.blocks import entries, fieldmasses
 from fdem.blocks.bounds import Springs, share
 from fdem.errors import SceneError
 from fdem.kernels import fields as kernels
@@ -336,6 +336,21 @@ class FieldBlocks:
         """The theory's u (12,): translation [m], accumulated rotation [rad], strain; linear strain: (30,)."""
         rest = self._rows(self._q(q))[row, :, 3:].ravel()
         return np.concatenate([moved, turned, self.strains(q, displacement)[row], rest])
+
+    # for implicit methods
+
+    def mass_entries(self, q: Array) -> entries.Entries:
+        """Mass matrix, constant."""
+        return entries.of_blocks(self.dofs.start + self.width * np.arange(self.n_blocks), self.masses())
+
+    def tangent(self, q: Array, x: Array) -> entries.Entries:
+        """Derivative of the internal forces by the unknowns."""
+        first = self.dofs.start + self.width * np.arange(self.n_blocks) + 3
+        return entries.of_blocks(first, self.stiffness(q))
+
+    def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
+        """Nothing: the placement is constant."""
+        return entries.nothing()
 
     # views of the flat arrays
 

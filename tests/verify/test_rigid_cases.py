@@ -13,18 +13,18 @@ import fdem
 G = 9.81
 ANGLE = np.radians(30.0)
 KN, KS = 5e9, 2e9
-BODIES = ["rigid", "zoned"]
-SHARE = {"rigid": 0.25, "zoned": 0.5}  # of the stable step, which the zones shorten
+KINDS = {"rigid": fdem.Rigid(), "uniform": fdem.UniformStrain(), "zoned": fdem.Zoned()}
+BODIES = list(KINDS)
+SHARE = {"rigid": 0.25, "uniform": 0.5, "zoned": 0.5}  # of the stable step, which strain shortens
 
 
 def tilted(body, phi, velocity=(0.0, 0.0, 0.0), damping=0.0, along=1.0):
     """The 1 x 1 x 0.5 m block of 1000 kg on a slope of 30 degrees: gravity is tilted, not the geometry."""
     scene = fdem.Scene(gravity=G * np.array([along * np.sin(ANGLE), 0.0, -np.cos(ANGLE)]))
     scene.add(fdem.brick((-4, -1, -1), (13, 2, 0)), fdem.Rigid(), fixed=True, name="base")
-    shape = fdem.brick((0, 0, 0), (1, 1, 0.5)) if body == "rigid" else box((2, 2, 1), (1, 1, 0.5))
+    shape = box((2, 2, 1), (1, 1, 0.5)) if body == "zoned" else fdem.brick((0, 0, 0), (1, 1, 0.5))
     material = fdem.Elastic(density=2000, young=1e10, poisson=0.2)
-    kind = fdem.Rigid() if body == "rigid" else fdem.Zoned()
-    block = scene.add(shape, kind, material, name="block", velocity=velocity)
+    block = scene.add(shape, KINDS[body], material, name="block", velocity=velocity)
     scene.joint(fdem.Coulomb(kn=KN, ks=KS, friction=phi, damping=damping))
     return scene, block
 
@@ -139,8 +139,8 @@ def stack(body, n=10):
     cubes = []
     for i in range(n):
         lower, upper = (0, 0, i), (1, 1, i + 1)
-        shape = fdem.brick(lower, upper) if body == "rigid" else box((2, 2, 2), upper, lower)
-        cubes.append(scene.add(shape, fdem.Rigid() if body == "rigid" else fdem.Zoned(), material, name=f"cube {i}"))
+        shape = box((2, 2, 2), upper, lower) if body == "zoned" else fdem.brick(lower, upper)
+        cubes.append(scene.add(shape, KINDS[body], material, name=f"cube {i}"))
     scene.joint(fdem.Coulomb(kn=1e9, ks=5e8, friction=30))
     return scene, cubes
 
