@@ -130,8 +130,10 @@ class Coupled:
             wanted = condition.target * _factor(condition.handle, t)
             if condition.displacement:
                 left = wanted - (q - q0)[self.coords]
-                ahead, whole = (np.abs(condition.rows @ part).max() for part in (left, wanted))
-                wanted = (1.0 if ahead <= ARRIVED * whole else APPROACH) / dt * left
+                ahead, whole, place = (np.abs(condition.rows @ part).max() for part in (left, wanted, q[self.coords]))
+                # by shares it would stop where a share is less than the last bit of q
+                arrived = ahead <= max(ARRIVED * whole, 2.0 * np.finfo(float).eps / APPROACH * place)
+                wanted = (1.0 if arrived else APPROACH) / dt * left
             given += np.linalg.pinv(condition.rows) @ (condition.rows @ wanted)
         v[self.dofs] = self._free @ (v[self.dofs] - given) + given
 
