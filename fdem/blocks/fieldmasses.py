@@ -29,9 +29,7 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-# fictitious mass of motions that no strain and no joint resists, over what the joints of a block would give it
-LOOSE = 0.1
-# the same over the strains of a block, where no joint is near
+# fictitious mass of motions that nothing resists, over that of the strains of a block, where no joint is near
 FREE = 0.05
 
 
@@ -129,21 +127,21 @@ def inner(blocks: FieldBlocks, q: Array) -> Array:
 def fictitious(blocks: FieldBlocks, q: Array, springs: Springs, swing: float) -> Array:
     """Fictitious mass matrices and their inverses (2, n_blocks, width, width), in the frames of the blocks.
 
-    The matrix is the stiffness of the block, strains and joints together: all its motions then take the same time,
-    however stiff the rock and however soft the joints. What neither resists gets a share of the true mass. `swing` is
+    The matrix is the stiffness of the block, strains and joints together, so that stiff rock on soft joints takes no
+    longer; motions that are softer than the stiffest of the joints get the mass a rigid block would have. `swing` is
     the largest factor by which damping stiffens springs.
     """
     joints = outer(blocks, springs)
     held = largest(blocks, joints)
     strains = 2.0 * blocks.mu * blocks.volume / np.linalg.eigvalsh(blocks.moments)[:, -1]
-    loose = np.where(held > 0.0, LOOSE * held, springs.kn * blocks.size**2 / blocks.mass)
+    loose = np.where(held > 0.0, held, springs.kn * blocks.size**2 / blocks.mass)
     loose = np.where(loose > 0.0, loose, FREE * strains)
     turn, root = turns(blocks, q), _root(blocks)
     # mass and placement do not turn with the block, its strains do
     stiffness = np.swapaxes(turn, 1, 2) @ (inner(blocks, q) + joints) @ turn
     squares, modes = np.linalg.eigh(root @ stiffness @ np.swapaxes(root, 1, 2))
     # compression takes stiffness away: its size counts, for a mass must be positive
-    squares = swing * (np.abs(squares) + loose[:, None])
+    squares = swing * np.maximum(np.abs(squares), loose[:, None])
     back = np.swapaxes(root, 1, 2) @ modes
     forth = masses(blocks) @ back
     return np.stack(
