@@ -101,7 +101,7 @@ class Coupled:
 
     def weigh(self, inverse: np.ndarray) -> None:
         """Take `inverse` (d, d) as the inverse of the mass matrix."""
-        C = self._rows
+        C, self.inverse = self._rows, inverse
         # by a power of two to 1, so that what counts as dependent does not depend on units
         scale = np.exp2(-np.round(np.log2(np.maximum(np.linalg.norm(C @ inverse, axis=1), np.finfo(float).tiny))))
         gram = C @ inverse @ C.T * np.sqrt(scale[:, None] * scale[None, :])

@@ -53,11 +53,12 @@ def axial(tensors: Array) -> Array:
     return np.einsum("njk,ijk->ni", tensors, GRADIENTS[:3])
 
 
-def inverse(matrices: Array) -> Array:
-    """Inverses of symmetric positive matrices (n, m, m), scaled first by powers of two to a diagonal near 1."""
-    scale = np.exp2(-np.round(0.5 * np.log2(np.diagonal(matrices, axis1=1, axis2=2))))
+def inverse(moments: Array, mass: Array) -> Array:
+    """Inverses of moments (n, k, k) of mass, taken over the masses (n,) and scaled by powers of two to near 1."""
+    mass = mass[:, None, None]
+    scale = np.exp2(-np.round(0.5 * np.log2(np.diagonal(moments / mass, axis1=1, axis2=2))))
     both = scale[:, :, None] * scale[:, None, :]
-    result = np.linalg.inv(matrices * both) * both
+    result = np.linalg.inv(moments / mass * both) * both / mass
     return np.ascontiguousarray(0.5 * (result + np.swapaxes(result, 1, 2)))
 
 
@@ -101,20 +102,26 @@ def spread(blocks: FieldBlocks, k_gp: Array) -> Array:
 
 
 def _root(blocks: FieldBlocks) -> Array:
-    """Matrices L^-1 (n_blocks, width, width) of the Cholesky factors of the mass matrices."""
+    """Matrices L^-1 (n_blocks, width, width) of the Cholesky factors of the mass matrices over the masses [1, 1/m].
+
+    Over the masses, so that numbers in other units of length, time and mass have the same bits.
+    """
     root = np.zeros((blocks.n_blocks, blocks.width, blocks.width))
-    lower = np.linalg.inv(np.linalg.cholesky(blocks.moments))
+    lower = np.linalg.inv(np.linalg.cholesky(blocks.moments / blocks.mass[:, None, None]))
     for d in range(3):
-        root[:, d, d] = 1.0 / np.sqrt(blocks.mass)
+        root[:, d, d] = 1.0
         part = slice(3 + d * blocks.k, 3 + (d + 1) * blocks.k)
         root[:, part, part] = lower
     return root
 
 
+def _reduced(blocks: FieldBlocks, root: Array, stiffness: Array) -> Array:
+    return root @ (stiffness / blocks.mass[:, None, None]) @ np.swapaxes(root, 1, 2)
+
+
 def largest(blocks: FieldBlocks, stiffness: Array) -> Array:
     """Largest eigenvalues (n_blocks,) of ``M^-1 K`` for K (n_blocks, width, width) [1/s^2]."""
-    root = _root(blocks)
-    return np.maximum(np.linalg.eigvalsh(root @ stiffness @ np.swapaxes(root, 1, 2))[:, -1], 0.0)
+    return np.maximum(np.linalg.eigvalsh(_reduced(blocks, _root(blocks), stiffness))[:, -1], 0.0)
 
 
 def inner(blocks: FieldBlocks, q: Array) -> Array:
@@ -139,17 +146,13 @@ def fictitious(blocks: FieldBlocks, q: Array, springs: Springs, swing: float) ->
     turn, root = turns(blocks, q), _root(blocks)
     # mass and placement do not turn with the block, its strains do
     stiffness = np.swapaxes(turn, 1, 2) @ (inner(blocks, q) + joints) @ turn
-    squares, modes = np.linalg.eigh(root @ stiffness @ np.swapaxes(root, 1, 2))
+    squares, modes = np.linalg.eigh(_reduced(blocks, root, stiffness))
     # compression takes stiffness away: its size counts, for a mass must be positive
     squares = swing * np.maximum(np.abs(squares), loose[:, None])
     back = np.swapaxes(root, 1, 2) @ modes
-    forth = masses(blocks) @ back
-    return np.stack(
-        [
-            (forth * squares[:, None, :]) @ np.swapaxes(forth, 1, 2),
-            (back / squares[:, None, :]) @ np.swapaxes(back, 1, 2),
-        ]
-    )
+    forth, mass = masses(blocks) @ back, blocks.mass[:, None, None]
+    frame = (forth * squares[:, None, :]) @ np.swapaxes(forth, 1, 2) / mass
+    return np.stack([frame, (back / squares[:, None, :]) @ np.swapaxes(back, 1, 2) / mass])
 
 
 def turns(blocks: FieldBlocks, q: Array) -> Array:

@@ -102,7 +102,7 @@ class FieldBlocks:
         self._start = np.ascontiguousarray(np.asarray(gp_start) - gridpoints.start, dtype=np.int32)
         self._owner = np.repeat(np.arange(self.n_blocks), np.diff(self._start))
         self.phi = self.functions(self._X - self.centre0[self._owner], self._owner)
-        self._inverse = fieldmasses.inverse(self.moments)
+        self._inverse = fieldmasses.inverse(self.moments, self.mass)
         self._turned = np.zeros((self.n_blocks, 3))  # by the last step
         self.stress0 = np.zeros((0, 6))
         self.rows = np.arange(self.n_blocks)
@@ -221,7 +221,10 @@ class FieldBlocks:
     def inverse_mass(self, row: int, q: Array, scaled: Array | None) -> Array:
         """Inverse mass matrix (width, width) of one block, true or fictitious."""
         if scaled is None:
-            return fieldmasses.inverse(self.masses()[row : row + 1])[0]
+            result = np.kron(np.eye(3), self._inverse[row])
+            return np.block(
+                [[np.eye(3) / self.mass[row], np.zeros((3, 3 * self.k))], [np.zeros((3 * self.k, 3)), result]]
+            )
         turn = fieldmasses.turns(self, q)[row]
         return turn @ scaled[1, row] @ turn.T
 
