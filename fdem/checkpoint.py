@@ -136,6 +136,7 @@ def save(sim: Simulation, path: str | Path) -> None:
     for i, scaled in enumerate(system.scaled):
         if scaled is not None:
             arrays[f"scaled_{i}"] = scaled
+    arrays |= {f"coupled_{i}": group.inverse for i, group in enumerate(system.constraints.coupled)}
     if system.contacts is not None:
         arrays |= {f"contacts_{key}": value for key, value in system.contacts.state_arrays().items()}
     if system.particles is not None:
@@ -260,6 +261,8 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
         if name in saved:
             setattr(system, name, saved[name])
     system.scaled = [saved.get(f"scaled_{i}") for i in range(len(system.scaled))]
+    for i, group in enumerate(system.constraints.coupled):
+        group.weigh(saved[f"coupled_{i}"])
     if system.contacts is not None:
         system.contacts.restore({k[len("contacts_") :]: v for k, v in saved.items() if k.startswith("contacts_")})
     if system.particles is not None:

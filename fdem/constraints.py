@@ -101,7 +101,7 @@ class Coupled:
 
     def weigh(self, inverse: np.ndarray) -> None:
         """Take `inverse` (d, d) as the inverse of the mass matrix."""
-        C = self._rows
+        C, self.inverse = self._rows, inverse
         # by a power of two to 1, so that what counts as dependent does not depend on units
         scale = np.exp2(-np.round(np.log2(np.maximum(np.linalg.norm(C @ inverse, axis=1), np.finfo(float).tiny))))
         gram = C @ inverse @ C.T * np.sqrt(scale[:, None] * scale[None, :])
@@ -130,8 +130,10 @@ class Coupled:
             wanted = condition.target * _factor(condition.handle, t)
             if condition.displacement:
                 left = wanted - (q - q0)[self.coords]
-                ahead, whole = (np.abs(condition.rows @ part).max() for part in (left, wanted))
-                wanted = (1.0 if ahead <= ARRIVED * whole else APPROACH) / dt * left
+                ahead, whole, place = (np.abs(condition.rows @ part).max() for part in (left, wanted, q[self.coords]))
+                # by shares it would stop where a share is less than the last bit of q
+                arrived = ahead <= max(ARRIVED * whole, 2.0 * np.finfo(float).eps / APPROACH * place)
+                wanted = (1.0 if arrived else APPROACH) / dt * left
             given += np.linalg.pinv(condition.rows) @ (condition.rows @ wanted)
         v[self.dofs] = self._free @ (v[self.dofs] - given) + given
 

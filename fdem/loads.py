@@ -108,7 +108,7 @@ class Couple(Load):
     parts : list of (gp (n,), weights (n,), moment (3,), massive)
         Gridpoints of each block, their weights, the moment [N m] in global axes, and what the forces are: those that
         a rotation takes to accelerate masses, ``w theta x r``; or, not massive, ``T x (W^-1 w r) / 2`` with
-        ``W = sum w r r^T``, whose ``sum f r^T`` is antisymmetric: a block that moves as a whole turns and does not strain.
+        ``W = sum w r r^T``, whose ``sum f r^T`` is antisymmetric: a block that moves as a whole turns, unstrained.
     """
 
     def __init__(self, handle: Any, parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]) -> None:

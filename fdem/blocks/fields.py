@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fdem.blocks import fieldmasses
+from fdem.blocks import entries, fieldmasses
 from fdem.blocks.bounds import Springs, share
 from fdem.errors import SceneError
 from fdem.kernels import fields as kernels
@@ -102,7 +102,7 @@ class FieldBlocks:
         self._start = np.ascontiguousarray(np.asarray(gp_start) - gridpoints.start, dtype=np.int32)
         self._owner = np.repeat(np.arange(self.n_blocks), np.diff(self._start))
         self.phi = self.functions(self._X - self.centre0[self._owner], self._owner)
-        self._inverse = fieldmasses.inverse(self.moments)
+        self._inverse = fieldmasses.inverse(self.moments, self.mass)
         self._turned = np.zeros((self.n_blocks, 3))  # by the last step
         self.stress0 = np.zeros((0, 6))
         self.rows = np.arange(self.n_blocks)
@@ -221,7 +221,10 @@ class FieldBlocks:
     def inverse_mass(self, row: int, q: Array, scaled: Array | None) -> Array:
         """Inverse mass matrix (width, width) of one block, true or fictitious."""
         if scaled is None:
-            return fieldmasses.inverse(self.masses()[row : row + 1])[0]
+            result = np.kron(np.eye(3), self._inverse[row])
+            return np.block(
+                [[np.eye(3) / self.mass[row], np.zeros((3, 3 * self.k))], [np.zeros((3 * self.k, 3)), result]]
+            )
         turn = fieldmasses.turns(self, q)[row]
         return turn @ scaled[1, row] @ turn.T
 
@@ -336,6 +339,21 @@ class FieldBlocks:
         """The theory's u (12,): translation [m], accumulated rotation [rad], strain; linear strain: (30,)."""
         rest = self._rows(self._q(q))[row, :, 3:].ravel()
         return np.concatenate([moved, turned, self.strains(q, displacement)[row], rest])
+
+    # for implicit methods
+
+    def mass_entries(self, q: Array) -> entries.Entries:
+        """Mass matrix, constant."""
+        return entries.of_blocks(self.dofs.start + self.width * np.arange(self.n_blocks), self.masses())
+
+    def tangent(self, q: Array, x: Array) -> entries.Entries:
+        """Derivative of the internal forces by the unknowns."""
+        first = self.dofs.start + self.width * np.arange(self.n_blocks) + 3
+        return entries.of_blocks(first, self.stiffness(q))
+
+    def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
+        """Nothing: the placement is constant."""
+        return entries.nothing()
 
     # views of the flat arrays
 

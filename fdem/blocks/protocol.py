@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from fdem.blocks.bounds import Springs
+from fdem.blocks.entries import Entries
 
 __all__ = ["Blocks"]
 
@@ -143,3 +144,14 @@ class Blocks(Protocol):
 
     def mass_of(self, row: int, q: np.ndarray) -> np.ndarray:
         """Mass matrix of the unknowns of one block."""
+
+    # for implicit methods: entries (rows, columns, values) of sparse matrices of the whole model's unknowns
+
+    def mass_entries(self, q: np.ndarray) -> Entries:
+        """Mass matrix ``M(q)``."""
+
+    def tangent(self, q: np.ndarray, x: np.ndarray) -> Entries:
+        """Derivative of the internal forces by the unknowns: what `internal` subtracts grows by ``K dq``."""
+
+    def geometric(self, q: np.ndarray, f_gp: np.ndarray) -> Entries:
+        """Derivative ``(dP^T/dq) f_gp`` of `pull` at constant gridpoint forces; not symmetric in general."""

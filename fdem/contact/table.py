@@ -186,6 +186,8 @@ def preload(c: Contacts, x: Array, stress: Array) -> None:
         Stress at `points(x)` [Pa], xx yy zz yz zx xy, tension positive.
     """
     p = c.patches
+    if not len(p):
+        return
     facing = (p.flags & kernels.FACING) > 0
     n_a = _unit(_face_normals(p.gp, x, 0))
     n_f = _unit(_face_normals(p.gp, x, 1))
