@@ -10,6 +10,7 @@ import numpy as np
 
 from fdem.errors import SceneError
 from fdem.scene.boundary import Stress, Velocity
+from fdem.scene.facets import facets
 from fdem.scene.moments import MassProperties, mass_properties
 from fdem.scene.scene import Applied, Block, Gridpoint, Scene, choose, surface_of
 from fdem.scene.shapes import Surface
@@ -17,7 +18,7 @@ from fdem.scene.shapes import Surface
 __all__ = ["Layout", "in_situ", "lay_out"]
 
 # order of gridpoints: those that are unknowns first, in memory that x and q share
-NUMBERED = ("zoned", "rigid", "uniform", "static")
+NUMBERED = ("zoned", "rigid", "uniform", "linear", "static")
 
 
 @dataclass
@@ -29,9 +30,9 @@ class Layout:
     blocks : list of Block
         Blocks in model order.
     kind : list of str
-        "rigid" (with its motion prescribed if the block is fixed), "uniform", "zoned" or "static".
+        "rigid" (with its motion prescribed if the block is fixed), "uniform", "linear", "zoned" or "static".
     meshes : list
-        Zone mesh of each zoned block, else None.
+        Zone mesh of each zoned block, facets of each block of linear strain, else None.
     loops, loop_tags : list
         Faces of each block as vertex loops (local numbers) with their tags.
     triangles, triangle_tags : list
@@ -113,7 +114,7 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
     _refuse_twins(blocks, kind)
     bounds = np.array([block.shape.bounds for block in everything])
     origin = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0))
-    meshes = _zone_meshes(scene, blocks, kind)
+    meshes = _meshes(scene, blocks, kind)
     points, loops, loop_tags, triangles, triangle_tags = [], [], [], [], []
     for block, mesh in zip(blocks, meshes, strict=True):
         surface = surface_of(block.shape)
@@ -175,20 +176,22 @@ def _kinds(scene: Scene, blocks: list[Block], loads: list[Applied]) -> list[str]
     return kinds
 
 
-def _zone_meshes(scene: Scene, blocks: list[Block], kind: list[str]) -> list[Any]:
-    if "zoned" not in kind:
-        return [None] * len(blocks)
-    from fdem.scene.meshing import zone_meshes
-
-    # meshes belong to the scene, so that an excavation does not subdivide again
+def _meshes(scene: Scene, blocks: list[Block], kind: list[str]) -> list[Any]:
+    """Zones or facets of the blocks that need them."""
+    # they belong to the scene, so that an excavation does not subdivide again
     cache: dict[Any, Any] = scene.__dict__.setdefault("zone_cache", {})
-    chosen = [b for b, k in zip(blocks, kind, strict=True) if k == "zoned"]
-    missing = [b for b in chosen if (b, b.shape, b.body) not in cache]
-    if missing:
-        made = zone_meshes([b.shape for b in chosen], [b.body.size for b in chosen])
-        for block, mesh in zip(chosen, made, strict=True):
+    zoned = [b for b, k in zip(blocks, kind, strict=True) if k == "zoned"]
+    if any((b, b.shape, b.body) not in cache for b in zoned):
+        from fdem.scene.meshing import zone_meshes
+
+        made = zone_meshes([b.shape for b in zoned], [b.body.size for b in zoned])
+        for block, mesh in zip(zoned, made, strict=True):
             cache[block, block.shape, block.body] = mesh
-    return [cache[b, b.shape, b.body] if k == "zoned" else None for b, k in zip(blocks, kind, strict=True)]
+    for block, what in zip(blocks, kind, strict=True):
+        if what == "linear" and (block, block.shape, block.body) not in cache:
+            cache[block, block.shape, block.body] = facets(block.shape, block.body.size)
+    own = ("zoned", "linear")
+    return [cache[b, b.shape, b.body] if k in own else None for b, k in zip(blocks, kind, strict=True)]
 
 
 def in_situ(layout: Layout, places: np.ndarray, owner: np.ndarray) -> np.ndarray | None:
