@@ -29,7 +29,7 @@ _HOME = {
     ),
     "fdem.log": ("show_log",),
     "fdem._jit": ("kernel",),
-    "fdem.scene.bodies": ("Rigid", "UniformStrain", "Zoned"),
+    "fdem.scene.bodies": ("LinearStrain", "Rigid", "UniformStrain", "Zoned"),
     "fdem.scene.materials": ("Elastic",),
     "fdem.scene.joints": ("BartonBandis", "Bonded", "Coulomb", "Hertz", "Joint"),
     "fdem.scene.boundary": (
@@ -89,6 +89,7 @@ __all__ = [
     "Joint",
     "JointError",
     "JointSet",
+    "LinearStrain",
     "Local",
     "MeshError",
     "Moment",

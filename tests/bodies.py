@@ -12,6 +12,7 @@ ROCK = fdem.Elastic(density=2500.0, young=1e9, poisson=0.25)
 BODIES = {
     "rigid": fdem.Rigid(),
     "uniform": fdem.UniformStrain(),
+    "linear": fdem.LinearStrain(),
     "zoned": fdem.Zoned(),
     "zoned small": fdem.Zoned(strain="small"),
     "zoned matched": fdem.Zoned(mass="inertia-matched"),

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
+from contact_tools import grid_box
 from numpy.testing import assert_allclose, assert_array_equal
 from scenes import assert_same_bits, everything, pile, quietly, simulation
 from test_invariance import SI, Units
@@ -11,7 +14,7 @@ from test_invariance import SI, Units
 import fdem
 
 ROCK = fdem.Elastic(density=2500.0, young=1e9, poisson=0.25)
-KINDS = {"uniform": fdem.UniformStrain()}
+KINDS = {"uniform": fdem.UniformStrain(), "linear": fdem.LinearStrain()}
 each = pytest.mark.parametrize("body", KINDS)
 G = 9.81
 
@@ -97,11 +100,12 @@ def test_velocity_drives_and_its_work_is_counted(body):
     sim = simulation(scene, fdem.Explicit(dt=1e-5))
     sim.cycle(200)
     e = 0.5 * 200 * 1e-5
-    assert_allclose(sim[block].strain, [0, 0, e, 0, 0, 0], atol=1e-12)
+    strain = e + 0.5 * e**2 if body == "linear" else e  # Green's strain, or that of the stretch
+    assert_allclose(sim[block].strain, [0, 0, strain, 0, 0, 0], atol=1e-12)
     energy = sim.energy
     exact = 0.5 * (1e9 * 0.75 / (1.25 * 0.5)) * e**2 * 6
-    assert energy.strain == pytest.approx(exact, rel=2e-2 if body == "linear" else 1e-9)
-    assert energy.kinetic == 0.0
+    assert energy.strain == pytest.approx(exact * (strain / e) ** 2, rel=1e-9)
+    assert energy.kinetic <= 1e-20 * exact
     assert energy.work == pytest.approx(energy.strain, rel=1e-3)
     assert np.abs(sim[drive].force).max() < 1e-3 * 1e9  # no net force: it stretches
     with pytest.raises(fdem.SceneError, match="angular"):
@@ -189,7 +193,7 @@ def test_quiet_boundary_and_local_damping_stop_a_block(body):
     sim = simulation(scene, fdem.Explicit())
     first = sim.energy.kinetic
     sim.run(time=0.02)
-    assert sim.energy.kinetic < 1e-6 * first
+    assert sim.energy.kinetic < 1e-5 * first
     scene, block = one(body, gravity=(0, 0, -G))
     scene.add(fdem.brick((-1, -1, -1), (2, 3, 0)), fdem.Rigid(), fixed=True, name="base")
     scene.joint(fdem.Coulomb(kn=1e9, ks=1e9, friction=0))
@@ -352,26 +356,28 @@ def test_a_mixed_stack(body):
 
 
 @each
-def test_facets_make_no_difference(body):
-    """A face in a thousand triangles instead of one polygon, tilted and partly open: the same force and moment."""
-    from contact_tools import grid_box
+def test_facets_make_no_difference(monkeypatch, body):
+    """A face in a thousand triangles instead of one polygon, under a tilted stamp: the same force and moment.
 
-    plain = fdem.brick((0, 0, 0), (1, 1, 1))
-    points, triangles = grid_box(22, 23)
-    fine = fdem.polyhedron(points, triangles)
+    Without pruning: it leaves out slivers by their size, 1e-4 of the largest patch.
+    """
+    import fdem.contact.contacts as layer
+
+    monkeypatch.setattr(layer, "Contacts", partial(layer.Contacts, prune=0.0))
+
+    fine = fdem.polyhedron(*grid_box(22, 23))
     results = []
-    for shape in (plain, fine):
+    for shape in (fdem.brick((0, 0, 0), (1, 1, 1)), fine):
         scene = fdem.Scene(gravity=(0, 0, 0), gap_tolerance=0)
-        floor = fdem.brick((-1, -1, -1), (2, 2, 0))
-        scene.add(floor, fdem.Rigid(), fixed=True, name="floor")
-        tilt = np.eye(4)
-        angle = 2e-4
+        block = scene.add(shape, KINDS[body], ROCK, name="block")
+        tilt, angle = np.eye(4), 2e-4
         tilt[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
-        tilt[2, 3] = 0.3e-4
-        block = scene.add(shape.transform(tilt), KINDS[body], ROCK, name="block")
+        tilt[2, 3] = 1e-4
+        stamp = fdem.brick((0.2, 0.2, 1.0), (0.8, 0.7, 1.5)).transform(tilt)
+        scene.add(stamp, fdem.Rigid(), fixed=True, name="stamp")
         scene.joint(fdem.Coulomb(kn=1e9, ks=1e9, friction=30))
         sim = simulation(scene)
-        results.append(np.concatenate([sim.pair_force("floor", block), sim.pair_moment("floor", block)]))
-        results[-1] = np.concatenate([results[-1], sim[block].generalised_force[:6]])
-    assert np.abs(results[0]).max() > 1e3
+        results.append(np.concatenate([sim.pair_force("stamp", block), sim.pair_moment("stamp", block)]))
+    # half open: kn b (2e-4 (0.8 - 0.5))^2 / (2 x 2e-4)
+    assert results[0][2] == pytest.approx(-4500.0, rel=1e-3)
     assert_allclose(results[1], results[0], atol=1e-12 * np.abs(results[0]).max())

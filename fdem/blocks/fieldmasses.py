@@ -16,8 +16,10 @@ if TYPE_CHECKING:
 __all__ = [
     "GRADIENTS",
     "axial",
+    "confined",
     "cross",
     "fictitious",
+    "free_modes",
     "inner",
     "inverse",
     "largest",
@@ -132,9 +134,9 @@ def inner(blocks: FieldBlocks, q: Array) -> Array:
 
 
 def fictitious(blocks: FieldBlocks, q: Array, springs: Springs, swing: float) -> Array:
-    """Fictitious mass matrices and their inverses (2, n_blocks, width, width), in the frames of the blocks.
+    """Fictitious masses, their inverses, modes and mass times modes (4, n_blocks, width, width), in the blocks' frames.
 
-    The matrix is the stiffness of the block, strains and joints together, so that stiff rock on soft joints takes no
+    The mass is the stiffness of the block, strains and joints together, so that stiff rock on soft joints takes no
     longer; motions that are softer than the stiffest of the joints get the mass a rigid block would have. `swing` is
     the largest factor by which damping stiffens springs.
     """
@@ -146,13 +148,43 @@ def fictitious(blocks: FieldBlocks, q: Array, springs: Springs, swing: float) ->
     turn, root = turns(blocks, q), _root(blocks)
     # mass and placement do not turn with the block, its strains do
     stiffness = np.swapaxes(turn, 1, 2) @ (inner(blocks, q) + joints) @ turn
-    squares, modes = np.linalg.eigh(_reduced(blocks, root, stiffness))
+    squares, vectors = np.linalg.eigh(_reduced(blocks, root, stiffness))
     # compression takes stiffness away: its size counts, for a mass must be positive
     squares = swing * np.maximum(np.abs(squares), loose[:, None])
-    back = np.swapaxes(root, 1, 2) @ modes
-    forth, mass = masses(blocks) @ back, blocks.mass[:, None, None]
-    frame = (forth * squares[:, None, :]) @ np.swapaxes(forth, 1, 2) / mass
-    return np.stack([frame, (back / squares[:, None, :]) @ np.swapaxes(back, 1, 2) / mass])
+    modes, mass = np.swapaxes(root, 1, 2) @ vectors, blocks.mass[:, None, None]
+    carried = masses(blocks) @ modes
+    frame = (carried * squares[:, None, :]) @ np.swapaxes(carried, 1, 2) / mass
+    return np.stack([frame, (modes / squares[:, None, :]) @ np.swapaxes(modes, 1, 2) / mass, modes, carried])
+
+
+def free_modes(blocks: FieldBlocks, q: Array) -> Array:
+    """Modes and mass times modes (2, n_blocks, width, width) of blocks on their own at the start.
+
+    Translations and rotations first, each by itself, then the modes of strain.
+    """
+    mass, root = masses(blocks), _root(blocks)
+    rigid = np.stack([blocks.theory(row, q)[:, :6] for row in range(blocks.n_blocks)])
+    # rotations about the principal axes do not mix
+    turning = np.swapaxes(rigid[:, :, 3:], 1, 2) @ (mass @ rigid[:, :, 3:]) / mass[:, :1, :1]
+    rigid[:, :, 3:] = rigid[:, :, 3:] @ np.linalg.eigh(turning)[1]
+    vectors = np.linalg.eigh(_reduced(blocks, root, inner(blocks, q)))[1]
+    modes = np.swapaxes(root, 1, 2) @ vectors
+    modes[:, :, :6] = rigid
+    return np.stack([modes, mass @ modes])
+
+
+def confined(stiffness: Array, mass: Array, rows: Array) -> Array:
+    """Modes and mass times modes (2, width, width) of one block whose motions v obey ``rows v = 0``; rest zeros."""
+    lower = np.linalg.inv(np.linalg.cholesky(mass / mass[0, 0]))
+    _, size, right = np.linalg.svd(rows @ lower.T)
+    basis = right[int((size > 1e-9 * size[0]).sum()) :]
+    own = basis @ lower
+    result = np.zeros((2, *mass.shape))
+    if len(own):
+        vectors = np.linalg.eigh(own @ stiffness @ own.T)[1]
+        result[0, :, : len(own)] = own.T @ vectors
+        result[1] = mass @ result[0]
+    return result
 
 
 def turns(blocks: FieldBlocks, q: Array) -> Array:

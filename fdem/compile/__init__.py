@@ -134,18 +134,18 @@ def _surfaces(layout: Layout, model: Model) -> list[Any]:
             surfaces.append(none)
             continue
         start, stop = (int(k) for k in model.gp_range[i])
-        deformable = kind == "zoned"
+        mesh = layout.meshes[i]
         shape = layout.blocks[i].shape
         surfaces.append(
             BlockSurface(
                 loops=[np.asarray(loop, dtype=np.int32) + np.int32(start) for loop in layout.loops[i]],
                 tags=np.array([-1 if tag is None else number[tag] for tag in layout.loop_tags[i]], dtype=np.int32),
-                affine=not deformable,
+                affine=mesh is None,
                 gp=(start, stop),
                 fixed=bool(model.fixed[i]),
                 volume=0.0 if isinstance(shape, Surface) else float(model.volume[i]),
                 mass=np.inf if model.fixed[i] else float(model.mass[i]),
-                behind=_behind(layout.meshes[i]) + start if deformable else None,
+                behind=None if mesh is None else (_behind if kind == "zoned" else _opposite)(mesh) + start,
             )
         )
     return surfaces
@@ -184,6 +184,14 @@ def _behind(mesh: Any) -> np.ndarray:
     wanted = np.sort(np.asarray(mesh.triangles), axis=1).astype(np.int64)
     found = order[np.searchsorted(keys[order], (wanted[:, 0] * n + wanted[:, 1]) * n + wanted[:, 2])]
     return tets[found % len(tets), found // len(tets)].astype(np.int32)
+
+
+def _opposite(mesh: Any) -> np.ndarray:
+    """For every facet of a block without zones the gridpoint farthest behind it."""
+    corners = mesh.points[mesh.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    depth = np.einsum("ti,ti->t", normal, corners[:, 0])[:, None] - normal @ mesh.points.T
+    return np.argmax(depth, axis=1).astype(np.int32)
 
 
 def _describe(layout: Layout, model: Model, contacts: Any, loads: list[Load]) -> None:

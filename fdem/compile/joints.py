@@ -222,7 +222,7 @@ class JointTables:
                 edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
                 lam, mu = material.lame
                 soft.append(((lam + 2 * mu) / edge, material.poisson))
-            for i in layout.of_kind("uniform"):
+            for i in layout.of_kind("uniform") + layout.of_kind("linear"):
                 lam, mu = layout.blocks[i].material.lame
                 soft.append(((lam + 2 * mu) / float(np.cbrt(layout.volume[i])), layout.blocks[i].material.poisson))
             if soft:

@@ -11,6 +11,7 @@ import numpy as np
 from fdem.compile.zones import scene_zones
 from fdem.errors import SceneError
 from fdem.scene.boundary import Stress, Velocity
+from fdem.scene.facets import facets
 from fdem.scene.kept import Kept
 from fdem.scene.moments import MassProperties, mass_properties
 from fdem.scene.scene import Applied, Block, Gridpoint, Scene, choose, surface_of
@@ -19,7 +20,7 @@ from fdem.scene.shapes import Balls, Sphere, Surface
 __all__ = ["Layout", "in_situ", "lay_out"]
 
 # order of gridpoints: those that are unknowns first, in memory that x and q share
-NUMBERED = ("zoned", "rigid", "uniform", "sphere", "static")
+NUMBERED = ("zoned", "rigid", "uniform", "linear", "sphere", "static")
 
 
 @dataclass
@@ -31,9 +32,9 @@ class Layout:
     blocks : list of Block
         Blocks in model order.
     kind : list of str
-        "rigid" (with its motion prescribed if the block is fixed), "sphere", "uniform", "zoned" or "static".
+        "rigid" (with its motion prescribed if the block is fixed), "sphere", "uniform", "linear", "zoned" or "static".
     meshes : list
-        Zone mesh of each zoned block, else None.
+        Zone mesh of each zoned block, facets of each block of linear strain, else None.
     loops, loop_tags : list
         Faces of each block as vertex loops (local numbers) with their tags.
     triangles, triangle_tags : list
@@ -129,7 +130,8 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied], before:
     kept = {} if before is None else before.differing(zoned)
     if kept:
         zone_notes = [*zone_notes, f"zones: {len(kept)} blocks keep those they had, which do not fit new neighbours"]
-    meshes = [kept.get(block.name, zoned.get(block)) for block in blocks]
+    surfaces = _facets(scene, blocks, kind)
+    meshes = [kept.get(block.name, zoned.get(block, surfaces.get(block))) for block in blocks]
     points, loops, loop_tags, triangles, triangle_tags = [], [], [], [], []
     for block, mesh, moves in zip(blocks, meshes, kind, strict=True):
         surface = surface_of(block.shape)
@@ -205,6 +207,18 @@ def _moving_kind(block: Block) -> str:
     if isinstance(block.shape, Sphere) and not block.body.orientation:
         return "sphere"
     return "rigid" if block.fixed else str(block.body.kind)
+
+
+def _facets(scene: Scene, blocks: list[Block], kind: list[str]) -> dict[Block, Any]:
+    """Facets of the blocks of linear strain; they belong to the scene, so that an excavation divides nothing again."""
+    cache: dict[Any, Any] = scene.__dict__.setdefault("facet_cache", {})
+    result = {}
+    for block in (b for b, what in zip(blocks, kind, strict=True) if what == "linear"):
+        key = block, block.shape, block.body
+        if key not in cache:
+            cache[key] = facets(block.shape, block.body.size)
+        result[block] = cache[key]
+    return result
 
 
 def in_situ(layout: Layout, places: np.ndarray, owner: np.ndarray) -> np.ndarray | None:

@@ -148,6 +148,8 @@ class System:
 
     def accelerate(self, f: np.ndarray) -> np.ndarray:
         """Accelerations M^-1 f with the constrained part set to zero."""
+        if self.constraints.coupled:
+            f = self.constraints.carried_off(f)
         for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
             batch.accelerate(self.state.q, f, self.a, scaled)
         self.constraints.still(self.a)
@@ -156,8 +158,8 @@ class System:
     def resist(self, share: float, f: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Forces that resist the motion `v`, a `share` of the forces `f` by components (n_dofs,)."""
         result = np.empty_like(f)
-        for batch in self.model.batches:
-            batch.resist(self.state.q, f, v, share, result)
+        for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
+            batch.resist(self.state.q, f, v, share, result, scaled)
         return result
 
     def prescribe(self, dt: float) -> None:
@@ -198,8 +200,12 @@ class System:
     def advance(self, dt: float) -> None:
         """Move the configuration by `dt` [s] with the present velocities; look for contacts if due."""
         state = self.state
+        aims = [group.aim(state.q, state.v, dt) for group in self.constraints.coupled]
         for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
             batch.advance(state.q, state.v, dt, scaled)
+        for group, aim in zip(self.constraints.coupled, aims, strict=True):
+            group.meet(state.q, aim)
+        for batch in self.model.batches:
             batch.place(state.q, state.x)
         state.t += dt
         state.step += 1
@@ -369,11 +375,15 @@ class System:
         self.weigh()
 
     def weigh(self) -> None:
-        """Tell conditions on blocks whose mass couples their unknowns what that mass is."""
+        """Tell conditions on blocks whose mass couples their unknowns what that mass is, and the blocks of them."""
+        if not self.constraints.coupled:
+            return
+        q, springs = self.state.q, self.springs()
         for group in self.constraints.coupled:
-            batch, number = self.model.batch_of(group.block), self.model.batch_index[group.block]
+            batch, scaled = self.model.batch_of(group.block), self.scaled[self.model.batch_index[group.block]]
             row = int(self.model.batch_row[group.block])
-            group.weigh(batch.inverse_mass(row, self.state.q, self.scaled[number]))
+            group.weigh(batch.inverse_mass(row, q, scaled))
+            batch.confine(row, q, group.rows, springs, scaled)
 
     def scaled_kinetic(self, v: np.ndarray) -> float:
         """``v.M v`` with the fictitious masses."""

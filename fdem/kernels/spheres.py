@@ -18,7 +18,7 @@ The two bodies meet in the middle of the overlap: arms and forces are those of o
 | motion | (n, 8) | displacement [m] (0-2) and rotation [rad] (3-5) since the last commit |
 | start, partner | uint32 | half list of pairs |
 | kind | (m,) uint32 | row of `table` |
-| table | (k, 10) | K [N/m, N/m^1.5], k_t, c_n, c_t, mu, 1 for Hertz or 0, 1/k_t, 1/(reduced mass) [1/kg], rolling and twisting [m] |
+| table | (k, 10) | K [N/m, N/m^1.5], k_t, c_n, c_t, mu, 1 for Hertz, 1/k_t, 1/(reduced mass) [1/kg], two lengths [m] |
 | memory_old, memory | (m, 4) | committed and trial history: s [m], r (0: open) |
 | dt | float | time since the last commit [s]; 0: no dashpots |
 | force | (n, 6) | out: force [N] and moment [N m] |

@@ -37,7 +37,8 @@ class Kept:
     @classmethod
     def of(cls, layout: Any) -> Kept:
         """Those of a compiled layout."""
-        zones = {b.name: mesh for b, mesh in zip(layout.blocks, layout.meshes, strict=True) if mesh is not None}
+        parts = zip(layout.blocks, layout.meshes, layout.kind, strict=True)
+        zones = {block.name: mesh for block, mesh, kind in parts if kind == "zoned"}
         return cls(layout.origin, zones)
 
     def differing(self, made: Mapping[Any, ZoneMesh]) -> dict[str, ZoneMesh]:

@@ -83,7 +83,7 @@ class Scene:
         ----------
         shape : Shape or list of Shape
             Geometry [m]; closed pyvista surfaces, skfem and meshio meshes are shapes too.
-        body : Rigid, UniformStrain or Zoned
+        body : Rigid, UniformStrain, LinearStrain or Zoned
             How it moves.
         material : Elastic, optional
             What it is made of; not needed by fixed rigid blocks.
