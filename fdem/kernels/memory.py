@@ -46,21 +46,23 @@ def _blend(points, i, old, first, w1, w2, memory, row):
 
 @kernel
 def carry_memory(gp, x, x_old, points_old, active_old, area_old, memory_old, points, active, area, memory, lost):
-    """Committed memory moved to the new points, its elastic slip turned with the frame of the slave face.
+    """Committed memory of this step, its elastic slip turned with the frame of the slave face.
 
     The frame: first edge e, normal n, their product. A slip s becomes ``sum (s.e_old) e / |e_old||e|`` over the three.
-    Where the closed part of a patch grows the elastic slip energy does not: what is new brings none. `lost` (n,) [m4]
-    is what goes with the part that opens, as ``sum a s^2``; `area_old` (n,) [m2] is that of each point before.
+    Where the closed part of a patch changes, its points keep what they have, and slip is scaled so that its energy
+    stays: at the border of the closed part there is no pressure, hence no slip to be lost or won, and what comes and
+    goes there leaves no trace (interpolated, it would creep). `area_old` (n,) [m2] is that of each point before; `lost`
+    (n,) [m4] is ``sum a s^2`` of patches that open.
     """
     columns = memory.shape[1]
     for i in range(len(gp)):
         lo = 3 * i
         lost[i] = 0.0
-        if active_old[i]:
-            for row in range(lo, lo + 3):
-                lost[i] += memory_old[row, 0] ** 2 + memory_old[row, 1] ** 2 + memory_old[row, 2] ** 2
-            lost[i] *= area_old[i]
         if active[i] == 0:
+            if active_old[i]:
+                for row in range(lo, lo + 3):
+                    s0, s1, s2 = memory_old[row, 0], memory_old[row, 1], memory_old[row, 2]
+                    lost[i] += area_old[i] * (s0 * s0 + s1 * s1 + s2 * s2)
             continue
         if active_old[i] == 0:
             for row in range(lo, lo + 3):
@@ -78,39 +80,22 @@ def carry_memory(gp, x, x_old, points_old, active_old, area_old, memory_old, poi
         gx, gy, gz = ey * nz - ez * ny, ez * nx - ex * nz, ex * ny - ey * nx
         s = 1.0 / math.sqrt((ux * ux + uy * uy + uz * uz) * (ex * ex + ey * ey + ez * ez))
         t = 1.0 / math.sqrt((ox * ox + oy * oy + oz * oz) * (nx * nx + ny * ny + nz * nz))
-        moved = False
+        st = s * t
+        if points[i, 0, 0] != points_old[i, 0, 0] or points[i, 0, 1] != points_old[i, 0, 1]:
+            stretch = math.sqrt(area_old[i] / area[lo])
+            s, t, st = s * stretch, t * stretch, st * stretch
         for row in range(lo, lo + 3):
-            w1, w2 = points[i, row - lo, 0], points[i, row - lo, 1]
-            if w1 == points_old[i, row - lo, 0] and w2 == points_old[i, row - lo, 1]:
-                s0, s1, s2 = memory_old[row, 0], memory_old[row, 1], memory_old[row, 2]
-                for k in range(3, 6):  # a constant length, which the compiler unrolls
-                    memory[row, k] = memory_old[row, k]
-                for k in range(6, columns):
-                    memory[row, k] = memory_old[row, k]
-            else:
-                moved = True
-                _blend(points_old, i, memory_old, lo, w1, w2, memory, row)
-                s0, s1, s2 = memory[row, 0], memory[row, 1], memory[row, 2]
+            s0, s1, s2 = memory_old[row, 0], memory_old[row, 1], memory_old[row, 2]
             c0 = (s0 * ux + s1 * uy + s2 * uz) * s
             c1 = (s0 * ox + s1 * oy + s2 * oz) * t
-            c2 = (s0 * vx + s1 * vy + s2 * vz) * (s * t)
+            c2 = (s0 * vx + s1 * vy + s2 * vz) * st
             memory[row, 0] = c0 * ex + c1 * nx + c2 * gx
             memory[row, 1] = c0 * ey + c1 * ny + c2 * gy
             memory[row, 2] = c0 * ez + c1 * nz + c2 * gz
-        if not moved:
-            lost[i] = 0.0
-            continue
-        energy = 0.0
-        for row in range(lo, lo + 3):
-            energy += memory[row, 0] ** 2 + memory[row, 1] ** 2 + memory[row, 2] ** 2
-        energy *= area[lo]
-        if energy > lost[i]:
-            shrink = math.sqrt(lost[i] / energy)
-            for row in range(lo, lo + 3):
-                for k in range(3):
-                    memory[row, k] *= shrink
-            energy = lost[i]
-        lost[i] -= energy
+            for k in range(3, 6):  # a constant length, which the compiler unrolls
+                memory[row, k] = memory_old[row, k]
+            for k in range(6, columns):
+                memory[row, k] = memory_old[row, k]
 
 
 @kernel
