@@ -304,6 +304,10 @@ class Hertz(Joint):
 
     Parameters
     ----------
+    kn, ks : None
+        Not to be given: the stiffness follows from the elastic constants.
+    corner : float, optional
+        Of no use for spheres.
     friction : float
         Friction angle [deg].
     young : float, optional
