@@ -15,7 +15,7 @@ from fdem.contact.history import inherit_history, inherit_laws, known_offsets
 from fdem.contact.laws import LawTable, stiffness_of
 from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
 from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
-from fdem.contact.wear import closing, drifted_pairs, worn_pairs
+from fdem.contact.wear import closing, drifted_pairs, too_deep, worn_pairs
 from fdem.errors import OverlapError, SceneError
 from fdem.kernels import corners, footprints, joints, memory, upkeep
 from fdem.kernels import patches as kernels
@@ -342,10 +342,7 @@ class Contacts:
             *self._close_arguments, x, p.active_old, p.memory_old, self._points, self._active, *self._closed
         )
         if deep >= 0:
-            raise OverlapError(
-                f"blocks {self.pair_names(p.pair[deep])} overlap by {-self._gap[3 * deep : 3 * deep + 3].min():.3g} m"
-                f", more than their surfaces describe ({p.limit[deep]:.3g} m); joint too soft or step too large"
-            )
+            raise OverlapError(too_deep(self, deep))
         kernels.fill_rows(
             p.gp, p.pair, self._cluster, self._thick, x, x_old, self._points, self._active, *self._rows
         )  # fmt: skip

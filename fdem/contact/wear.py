@@ -13,7 +13,7 @@ from fdem.kernels import broad, upkeep
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
 
-__all__ = ["closing", "drifted_pairs", "refuse_leaps", "worn_pairs"]
+__all__ = ["closing", "drifted_pairs", "refuse_leaps", "too_deep", "worn_pairs"]
 
 Array = NDArray[np.float64]
 
@@ -93,3 +93,14 @@ def refuse_leaps(c: Contacts, x_old: Array, x: Array) -> None:
             f"blocks {c.names[a[k]]!r} and {c.names[b[k]]!r} moved by {against[k]:.3g} m against each other in one "
             "step, so far that contact between them may have gone unseen; the step is too large"
         )
+
+
+def too_deep(c: Contacts, patch: int) -> str:
+    """What to say about a patch whose deepest corner is beyond its limit."""
+    p = c.patches
+    w = p.corners[p.start[patch] : p.start[patch + 1]]
+    depth = np.column_stack([1.0 - w.sum(axis=1), w]) @ (c._closed[2][patch] + p.offset[patch])
+    return (
+        f"blocks {c.pair_names(p.pair[patch])} overlap by {depth.max():.3g} m, more than their surfaces describe "
+        f"({p.limit[patch]:.3g} m, a quarter of the local thickness); joint too soft or step too large"
+    )

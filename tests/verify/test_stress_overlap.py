@@ -5,6 +5,8 @@ S-numbers are those of the list of numerical stress scenarios.
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -79,8 +81,10 @@ def test_s09_fast_sphere_on_a_thin_plate(phases, speed):
 def test_s09_a_joint_too_soft_for_the_impact_is_refused(speed, kn):
     for gap in (1e-3, 0.0123):
         sim = shot(speed, kn, gap)
-        with pytest.raises(fdem.OverlapError, match=r"'plate' and 'ball'"):
+        with pytest.raises(fdem.OverlapError, match=r"'plate' and 'ball'") as error:
             sim.run(time=(2 * gap + 0.03) / speed)
+        if found := re.search(r"by (\S+) m, more than their surfaces describe \((\S+) m", str(error.value)):
+            assert float(found[1]) >= float(found[2]) == 0.0025
         assert sim["ball"].position[2] > 0.04  # 0.05 less the thickness of the plate
 
 
