@@ -80,7 +80,10 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
         batches=tuple(batches.values()),
         deformable=batches.get("zoned"),
         gravity=layout.scene.gravity,
-        damping_ratio=max([getattr(rule.law, "damping_ratio", 0.0) for rule in layout.scene.joints], default=0.0),
+        # dashpots of spheres act in the middle of the step and do not shorten it
+        damping_ratio=max(
+            [getattr(rule.law, "damping_ratio", 0.0) for rule in layout.scene.joints if rule.law.for_faces], default=0.0
+        ),
         joint_names=[_joint_name(rule) for rule in layout.scene.joints],
         wave_speed=np.array([_wave_speeds(b, rho) for b, rho in zip(layout.blocks, layout.density, strict=True)]),
         notes=notes,

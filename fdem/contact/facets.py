@@ -67,7 +67,7 @@ class FaceContacts:
         Joint rule of each candidate.
     slot_start : (n + 1,) int64
         Rows of a group.
-    memory, held : (n_rows, 8), (n_rows, 6) or (0, 6)
+    memory, held : (n_rows, 9), (n_rows, 6) or (0, 6)
         Committed history of the springs (kernels/spheres.py) and of the couples (kernels/couples.py), if there are any.
     """
 
@@ -97,7 +97,7 @@ class FaceContacts:
         slots = np.concatenate([[0], np.cumsum(np.minimum(np.diff(start), SLOTS))])
         return cls(
             at[first], block[first], start, face.ravel(), used, np.zeros(len(key), np.int32), slots,
-            np.zeros((int(slots[-1]), 8)), np.zeros((int(slots[-1]) if couples else 0, 6)),
+            np.zeros((int(slots[-1]), 9)), np.zeros((int(slots[-1]) if couples else 0, 6)),
         )  # fmt: skip
 
     def prepare(self, facets: Facets, x: Array) -> None:
@@ -136,6 +136,11 @@ class FaceContacts:
             self.corner_start, self.corner_x, self.normal, x, x_old, self.memory, self.active, self.geometry,
             self.slot_kind, self.source, self.candidate, self.weight, self.lost,
         )  # fmt: skip
+
+    def commit(self) -> None:
+        """Make the trial history the committed one."""
+        self.memory, self.trial = self.trial, self.memory
+        self.held, self.trial_held = self.trial_held, self.held
 
     def inherit(self, old: FaceContacts, at_old: Any, n_blocks: int, block: Any = None) -> None:
         """Take the history of groups that were there before.

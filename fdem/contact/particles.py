@@ -192,6 +192,7 @@ class SphereTable:
                     rows[mine, 0] = law.kn * area
                     rows[mine, 1] = law.ks * area
                     rows[mine, 2] = 2.0 * law.damping * np.sqrt(rows[mine, 0] * mass)
+                    rows[mine, 3] = 2.0 * law.damping * np.sqrt(rows[mine, 1] * mass / 3.5)
             rows[mine, 4], rows[mine, 5] = law.tan, float(law.hertz)
             rows[mine, 7] = a[:, 1] + b[:, 1]
             rows[mine, 8], rows[mine, 9] = law.rolling, law.twisting
@@ -222,5 +223,6 @@ class SphereTable:
         root = np.sqrt(1.0 / (1.0 / first[:, 0] + 1.0 / second[:, 0]))
         stiffness, tangent = 4.0 / 3.0 / normal * root, 8.0 / shear * root
         dashpot = np.sqrt(5.0) * law.damping * np.sqrt(mass * stiffness)
-        # the same fraction of critical across: as the roots of the tangent stiffnesses, 3/2 K and k_t
-        return np.column_stack([stiffness, tangent, dashpot, dashpot * np.sqrt(tangent / (1.5 * stiffness))])
+        # the same fraction of critical across, where a sphere that rolls has 2/7 of its mass
+        across = 2.0 * law.damping * np.sqrt(tangent * mass / 3.5)
+        return np.column_stack([stiffness, tangent, dashpot, across])

@@ -92,7 +92,7 @@ class SphereContacts:
         self.order = np.zeros(0, np.int64)
         self.start, self.partner = np.zeros(1, np.uint32), np.zeros(0, np.uint32)
         self._couples = any(law.rolling > 0.0 or law.twisting > 0.0 for law in table.laws)
-        self.memory, self.held, self.rule = np.zeros((0, 4)), np.zeros((0, 6)), np.zeros(0, np.int32)
+        self.memory, self.held, self.rule = np.zeros((0, 5)), np.zeros((0, 6)), np.zeros(0, np.int32)
         self.faces = FaceContacts.group(np.zeros(0, int), np.zeros(0, int), np.zeros(1, np.int32), self._couples)
         self.detect(x)
 
@@ -115,7 +115,7 @@ class SphereContacts:
         grid = kernels.tabulate(*near[4:])
         start, partner = kernels.near_pairs(*near, *grid)
         before, at_old = self._shear_energy(), self._earlier(order)
-        memory, source = np.zeros((len(partner), 4)), np.zeros(len(partner), np.int64)
+        memory, source = np.zeros((len(partner), 5)), np.zeros(len(partner), np.int64)
         kernels.carry_pairs(self.start, self.partner, self.memory, at_old, start, partner, memory, source)
         held = np.zeros((len(partner) if self._couples else 0, 6))
         if self._couples:
@@ -378,8 +378,8 @@ class SphereContacts:
         self.work += self._trial_work()
         self.memory, self._memory = self._memory, self.memory
         self.held, self._held = self._held, self.held
-        self.faces.memory, self.faces.trial = self.faces.trial, self.faces.memory
-        self.faces.held, self.faces.trial_held = self.faces.trial_held, self.faces.held
+        if len(self.faces.at):
+            self.faces.commit()
         self._trial = False
 
     def _trial_work(self) -> Array:
@@ -420,7 +420,7 @@ class SphereContacts:
             return 0.0
         energy = float(spheres.stored(np.zeros(len(self.kind)), self.kind, self.table.rows, self.memory)[1])
         m = self.faces.memory
-        energy += 0.5 * float((m[:, 7] * m[:, 3] * (m[:, :3] ** 2).sum(axis=1)).sum())
+        energy += 0.5 * float((m[:, 8] * m[:, 3] * (m[:, :3] ** 2).sum(axis=1)).sum())
         return energy + couples.stored_couples(self.memory, self.held) + couples.stored_couples(m, self.faces.held)
 
     def present(self) -> tuple[float, float, float]:

@@ -204,7 +204,7 @@ def touch(
     ref, corner_start, corner_x, normal  faces
     moves              (n_faces,)    whether a face can move
     x, x_old           (n_gp, 3)     positions now and at the last commit [m]
-    memory_old         (k, 8)        committed history of the rows: s [m], r, normal, k_t
+    memory_old         (k, 9)        committed history of the rows: s [m], r, z, normal, k_t
     active             (k,) uint8    out
     geometry           (k, 12)       out, see `face_forces`; rotation of the sphere against the face in 9-11 [rad]
     kind, source       (k,)          out: row of `table`; row of history, -1: new
@@ -265,14 +265,14 @@ def _go_on(first, last, count, direction, memory_old, source, out):
                 continue
             cosine = 0.0
             for d in range(3):
-                cosine += direction[j, d] * memory_old[k, 4 + d]
+                cosine += direction[j, d] * memory_old[k, 5 + d]
             if cosine > most:
                 best, most = j, cosine
         if best >= 0:
             source[first + best] = k
         else:
             length = memory_old[k, 0] ** 2 + memory_old[k, 1] ** 2 + memory_old[k, 2] ** 2
-            out[0] += 0.5 * memory_old[k, 7] * memory_old[k, 3] * length
+            out[0] += 0.5 * memory_old[k, 8] * memory_old[k, 3] * length
 
 
 @kernel

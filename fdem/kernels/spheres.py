@@ -18,8 +18,10 @@ The two bodies meet in the middle of the overlap: arms and forces are those of o
 | motion | (n, 8) | displacement [m] (0-2) and rotation [rad] (3-5) since the last commit |
 | start, partner | uint32 | half list of pairs |
 | kind | (m,) uint32 | row of `table` |
-| table | (k, 10) | K [N/m, N/m^1.5], k_t, c_n, c_t, mu, 1 for Hertz, 1/k_t, 1/(reduced mass) [1/kg], two lengths [m] |
-| memory_old, memory | (m, 4) | committed and trial history: s [m], r (0: open) |
+| table | (k, 10) | K [N/m, N/m^1.5], k_t, c_n, c_t, mu, 1 for Hertz or 0, 1/k_t, 1/(reduced mass) [1/kg], rolling and
+twisting length [m] |
+| memory_old, memory | (m, 5) | committed and trial history: s [m], r (0: open), z: half of what the contact force
+adds to the closing speed in a step less half that speed [m/s] |
 | dt | float | time since the last commit [s]; 0: no dashpots |
 | force | (n, 6) | out: force [N] and moment [N m] |
 | record | (m, 4) or (0, 4) | out, if it has rows: N [N], T on the first sphere's partner [N] |
@@ -69,10 +71,14 @@ def _pair_geometry(work):
 
 
 @kernel
-def _law(work, inverse_dt):
-    """Forces of L contacts (top of file) from rows 14-21, history in 24-27 and table in 28-35.
+def _law(work, dt, inverse_dt):
+    """Forces of L contacts (top of file) from rows 14-21, history in 24-28 and table in 29-36.
 
-    Out: row 0 N, 1-3 T, 4 friction work, 5 damping work, 6 stiffness over mass, 24-27 history.
+    Out: row 0 N, 1-3 T, 4 friction work, 5 damping work, 6 stiffness over mass, 24-28 history.
+
+    The normal dashpot acts on the speed at the time of the force, which is not known yet:
+    ``v(n) = 3/2 v(n-1/2) - 1/2 v(n-3/2) - (N(n) - N(n-1)) dt / 2m``, the last two speeds carried on and what this
+    force alone changes. So it is right to second order, takes nothing from the stable step, and is zero at rest.
     """
     for i in range(L):
         nx, ny, nz = work[14 * L + i], work[15 * L + i], work[16 * L + i]
@@ -80,20 +86,27 @@ def _law(work, inverse_dt):
         ex, ey, ez = work[18 * L + i], work[19 * L + i], work[20 * L + i]
         about = work[21 * L + i]
         s0, s1, s2, old_root = work[24 * L + i], work[25 * L + i], work[26 * L + i], work[27 * L + i]
-        hertz = work[33 * L + i]
+        hertz = work[34 * L + i]
         root = math.sqrt(overlap) if hertz > 0.0 else 1.0
         fourth = math.sqrt(root)
         closing = ex * nx + ey * ny + ez * nz
         ex, ey, ez = ex - closing * nx, ey - closing * ny, ez - closing * nz
-        stiffness = work[28 * L + i] * root
+        stiffness = work[29 * L + i] * root
         elastic = stiffness * overlap
-        viscous = work[30 * L + i] * fourth * closing * inverse_dt
-        viscous = viscous if viscous > -elastic else -elastic
-        normal = elastic + viscous
-        kt0 = work[29 * L + i]
+        dashpot = work[31 * L + i] * fourth
+        step, speed = 0.5 * dt * work[36 * L + i], closing * inverse_dt
+        before = work[28 * L + i] if old_root > 0.0 else -0.5 * speed
+        # nothing is carried on from a force without a step before it: at the start, and out of fictitious time
+        known = 1.0 if before != 0.0 else 0.0
+        before += (1.0 + 0.5 * known) * speed
+        normal = (elastic + dashpot * before) / (1.0 + known * dashpot * step)
+        normal = normal if normal > 0.0 else 0.0
+        viscous = normal - elastic
+        closing = dt * (before - known * step * normal)
+        kt0 = work[30 * L + i]
         kt, inverse_root = kt0 * root, 1.0 / root
-        cap = work[32 * L + i] * normal
-        most = cap * work[34 * L + i] * inverse_root
+        cap = work[33 * L + i] * normal
+        most = cap * work[35 * L + i] * inverse_root
         # history: with the plane of contact, round its normal, at its length
         length = s0 * s0 + s1 * s1 + s2 * s2
         along = s0 * nx + s1 * ny + s2 * nz
@@ -116,8 +129,9 @@ def _law(work, inverse_dt):
         share = share if trial > 0.0 else 0.0
         friction += cap * (trial - held)
         s0, s1, s2 = s0 * share, s1 * share, s2 * share
-        # the dashpot acts as far as the cone holds both
-        drag = work[31 * L + i] * fourth * inverse_dt
+        # the dashpot beside the spring, where the cone holds both; rolling, a sphere gives way 7/2 as easily
+        drag = work[32 * L + i] * fourth
+        drag *= inverse_dt / (1.0 + 3.5 * drag * step)
         slip = ex * ex + ey * ey + ez * ez
         left = cap - kt * held
         drag = drag if drag * drag * slip <= left * left else 0.0
@@ -125,25 +139,26 @@ def _law(work, inverse_dt):
         work[L + i], work[2 * L + i], work[3 * L + i] = kt * s0 + drag * ex, kt * s1 + drag * ey, kt * s2 + drag * ez
         work[4 * L + i] = friction
         work[5 * L + i] = viscous * closing + drag * slip
-        work[6 * L + i] = stiffness * (1.0 + 0.5 * hertz) * work[35 * L + i]
+        work[6 * L + i] = stiffness * (1.0 + 0.5 * hertz) * work[36 * L + i]
         work[24 * L + i], work[25 * L + i], work[26 * L + i], work[27 * L + i] = s0, s1, s2, root
+        work[28 * L + i] = step * normal - 0.5 * speed
 
 
 @kernel
 def _lanes():
     """Work of L contacts that gives no NaN wherever it is not filled."""
-    work = np.zeros(36 * L)
+    work = np.zeros(37 * L)
     for i in range(L):
         work[i] = work[3 * L + i] = work[4 * L + i] = work[17 * L + i] = 1.0
-        work[28 * L + i] = work[29 * L + i] = work[34 * L + i] = 1.0
+        work[29 * L + i] = work[30 * L + i] = work[35 * L + i] = 1.0
     return work
 
 
 @kernel
-def _pairs_done(count, first, second, row, work, inverse_dt, memory, force, record, out):
+def _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, record, out):
     """Compute the pairs gathered in `work` and add their forces."""
     _pair_geometry(work)
-    _law(work, inverse_dt)
+    _law(work, dt, inverse_dt)
     friction, damping, stiffest = 0.0, 0.0, out[4]
     for i in range(count):
         a, b, k = first[i], second[i], row[i]
@@ -169,7 +184,7 @@ def _pairs_done(count, first, second, row, work, inverse_dt, memory, force, reco
         force[b, 3] -= aj * mx
         force[b, 4] -= aj * my
         force[b, 5] -= aj * mz
-        for c in range(4):
+        for c in range(5):
             memory[k, c] = work[(24 + c) * L + i]
         if len(record) > 0:
             record[k, 0], record[k, 1], record[k, 2], record[k, 3] = normal, t0, t1, t2
@@ -199,7 +214,7 @@ def pair_forces(place, motion, start, partner, kind, table, memory_old, memory, 
                 if old != 0.0:
                     s0, s1, s2 = memory_old[k, 0], memory_old[k, 1], memory_old[k, 2]
                     out[0] += 0.5 * table[kind[k], 1] * old * (s0 * s0 + s1 * s1 + s2 * s2)
-                memory[k, 0] = memory[k, 1] = memory[k, 2] = memory[k, 3] = 0.0
+                memory[k, 0] = memory[k, 1] = memory[k, 2] = memory[k, 3] = memory[k, 4] = 0.0
                 if len(record) > 0:
                     record[k, 0] = record[k, 1] = record[k, 2] = record[k, 3] = 0.0
                 continue
@@ -209,20 +224,20 @@ def pair_forces(place, motion, start, partner, kind, table, memory_old, memory, 
                 work[(5 + c) * L + count] = motion[a, c] - motion[b, c]
                 work[(8 + c) * L + count] = motion[a, 3 + c]
                 work[(11 + c) * L + count] = motion[b, 3 + c]
-            for c in range(4):
+            for c in range(5):
                 work[(24 + c) * L + count] = memory_old[k, c]
             law = kind[k]
             if filled[count] != law:
                 filled[count] = law
                 for c in range(8):
-                    work[(28 + c) * L + count] = table[law, c]
+                    work[(29 + c) * L + count] = table[law, c]
             first[count], second[count], row[count] = a, b, k
             count += 1
             touching += 1
             if count == L:
-                _pairs_done(count, first, second, row, work, inverse_dt, memory, force, record, out)
+                _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, record, out)
                 count = 0
-    _pairs_done(count, first, second, row, work, inverse_dt, memory, force, record, out)
+    _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, record, out)
     out[2] = touching
 
 
@@ -238,9 +253,9 @@ def face_forces(
     geometry      (m, 12)     normal from the sphere to the face, overlap [m], motion of the sphere against the face at
                               the contact [m] (4-6), rotation about the normal [rad], arm [m], not used here (9-11)
     kind, table               as for pairs
-    memory_old    (m, 8)      committed history: s [m], r, normal (4-6), k_t
+    memory_old    (m, 9)      committed history: s [m], r, z, normal (5-7), k_t
     source        (m,)        row of `memory_old` that a contact goes on from, -1: new
-    memory        (m, 8)      out: trial history
+    memory        (m, 9)      out: trial history
     dt            float       [s]; 0: no dashpots
     force         (n, 6)      added to, as for pairs
     push          (m, 3)      out: force on the face [N], 0 for open rows
@@ -258,19 +273,19 @@ def face_forces(
             for c in range(4):
                 record[k, c] = 0.0
             if not active[k]:
-                for c in range(8):
+                for c in range(9):
                     memory[k, c] = 0.0
                 continue
             for c in range(8):
                 work[(14 + c) * L + count] = geometry[k, c]
-            for c in range(4):
+            for c in range(5):
                 work[(24 + c) * L + count] = memory_old[source[k], c] if source[k] >= 0 else 0.0
             for c in range(8):
-                work[(28 + c) * L + count] = table[kind[k], c]
+                work[(29 + c) * L + count] = table[kind[k], c]
             row[count] = k
             count += 1
         if count == L or k == n:
-            _law(work, inverse_dt)
+            _law(work, dt, inverse_dt)
             for i in range(count):
                 k_t = table[kind[row[i]], 1]
                 _face_done(i, row[i], at[row[i]], k_t, geometry, work, memory, force, push, record, out)
@@ -297,9 +312,9 @@ def _face_done(i, k, a, k_t, geometry, work, memory, force, push, record, out):
     force[a, 3] -= arm * (ny * t2 - nz * t1)
     force[a, 4] -= arm * (nz * t0 - nx * t2)
     force[a, 5] -= arm * (nx * t1 - ny * t0)
-    for c in range(4):
+    for c in range(5):
         memory[k, c] = work[(24 + c) * L + i]
-    memory[k, 4], memory[k, 5], memory[k, 6], memory[k, 7] = nx, ny, nz, k_t
+    memory[k, 5], memory[k, 6], memory[k, 7], memory[k, 8] = nx, ny, nz, k_t
 
 
 @kernel
