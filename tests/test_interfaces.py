@@ -12,6 +12,7 @@ from scenes import STONE, assert_same_bits, everything, simulation
 from test_meshing import check, notched
 
 import fdem
+from fdem.contact.response import slip_energies
 from fdem.errors import MeshError
 from fdem.kernels.patches import FLAT
 from fdem.scene import gmsh_session, meshing, overlay
@@ -304,7 +305,7 @@ def test_a_shared_triangle_is_one_patch(size):
     x = sim.state.x.copy()
     x[slice(*sim.model.gp_range[1])] += 2e-6 * along / np.linalg.norm(along) - 1e-5 * normal
     before = contacts.n_cuts
-    contacts._replace(np.arange(len(contacts.pairs), dtype=np.int32), x, contacts._slip_energies())
+    contacts._replace(np.arange(len(contacts.pairs), dtype=np.int32), x, slip_energies(contacts))
     assert contacts.n_cuts > before
     assert whole(sim, contacts) == (joint, joint)
 
