@@ -121,7 +121,7 @@ def transfer(source: Simulation, sim: Simulation) -> None:
         sim.system.forces()
         sim.system.commit()
         sim.system.current = False
-        sim.x0, sim.centroids0 = sim.state.x.copy(), sim.centroids()
+        sim.x0, sim.centroids0 = sim.places(), sim.centroids()
         sim.turned[:] = 0.0
 
 

@@ -57,11 +57,18 @@ class Readout:
 
     def positions(self) -> np.ndarray:
         """Gridpoint positions (n_gp, 3) [m]."""
-        return self.state.x + self.model.origin
+        return self.places() + self.model.origin
+
+    def places(self) -> np.ndarray:
+        """Places (n_gp, 3) [m] of gridpoints as material points, relative to the model's origin."""
+        x = self.state.x.copy()
+        for batch in self.model.batches:
+            batch.show(self.state.q, x)
+        return x
 
     def displacements(self) -> np.ndarray:
         """Gridpoint displacements (n_gp, 3) [m] since the start or the last reset."""
-        return self.state.x - self.x0
+        return self.places() - self.x0
 
     def pushed(self, v: np.ndarray) -> np.ndarray:
         """Gridpoint values (n_gp, 3) of generalised velocities or accelerations."""

@@ -103,7 +103,7 @@ class Simulation(Readout):
             self.scene, self._removed, list(self._applied.values()), self._threads, self._before
         )
         self._make_system(self.compiled)
-        self.x0, self.centroids0 = self.state.x.copy(), self.centroids()
+        self.x0, self.centroids0 = self.places(), self.centroids()
         self.turned = np.zeros((self.model.n_blocks, 3))
 
     def _make_system(self, compiled: Compiled) -> None:
@@ -288,7 +288,7 @@ class Simulation(Readout):
             left = number[gp] >= 0
             self._releases.append((number[gp][left], forces[left], at, over))
         self._make_system(compiled)
-        self.x0, self.centroids0 = self.state.x.copy(), self.centroids()
+        self.x0, self.centroids0 = self.places(), self.centroids()
         self.turned = np.zeros((self.model.n_blocks, 3))
         checkpoint.carry(old, self)
         self.integrator.start(self.system)
@@ -298,7 +298,7 @@ class Simulation(Readout):
     def reset(self, what: str = "displacement") -> None:
         """Set "displacement", "velocity", "slip" or "time" to zero."""
         if what == "displacement":
-            self.x0, self.centroids0 = self.state.x.copy(), self.centroids()
+            self.x0, self.centroids0 = self.places(), self.centroids()
             self.turned[:] = 0.0
         elif what == "velocity":
             before = self.stored() if self.ledger is not None else {}

@@ -49,7 +49,7 @@ def _turning(blocks: FieldBlocks, row: int) -> Array:
 
 def _at_points(blocks: FieldBlocks, gridpoints: Any, direction: Array) -> Array:
     """Rows (n, width): the velocity along `direction` (3,) of gridpoints (n,) of one block."""
-    phi = blocks.phi[np.asarray(gridpoints) - blocks.gridpoints.start]
+    phi = blocks.material[np.asarray(gridpoints) - blocks.gridpoints.start]
     parts = [np.asarray(direction)[d] * phi for d in range(3)]
     return np.hstack([np.tile(direction, (len(phi), 1)), *parts])
 
@@ -162,7 +162,7 @@ def driven_rows(
 
 def _fitted(blocks: FieldBlocks, gridpoints: Any, axis: int, values: Array) -> Array:
     """Unknowns (width,) of one block whose motion along `axis` is nearest to `values` (n,) at its gridpoints (n,)."""
-    phi = blocks.phi[np.asarray(gridpoints) - blocks.gridpoints.start]
+    phi = blocks.material[np.asarray(gridpoints) - blocks.gridpoints.start]
     scale = np.maximum(np.abs(phi).max(axis=0), np.finfo(float).tiny)
     basis = np.hstack([np.ones((len(phi), 1)), phi / scale])
     coefficients = np.linalg.lstsq(basis, values, rcond=None)[0]

@@ -49,8 +49,8 @@ class FieldBlocks:
         Functions of place: 3 for uniform, 9 for linear strain.
     width : int
         Unknowns of a block, ``3 + 3 k``: centre, then the rows x, y, z of the coefficients.
-    phi : (n, k) array
-        Functions at the batch's gridpoints [m, m^2].
+    phi, material : (n, k) array
+        Functions at the batch's gridpoints [m, m^2], as contact sees them and of the material points they are.
     centre0 : (n_blocks, 3) array
         Centres of mass at the start [m].
     has_internal, in_place, turns, has_strain : bool
@@ -101,7 +101,7 @@ class FieldBlocks:
         self.centre0 = np.array(centre, dtype=np.float64, order="C")
         self._start = np.ascontiguousarray(np.asarray(gp_start) - gridpoints.start, dtype=np.int32)
         self._owner = np.repeat(np.arange(self.n_blocks), np.diff(self._start))
-        self.phi = self.functions(self._X - self.centre0[self._owner], self._owner)
+        self.phi = self.material = self.functions(self._X - self.centre0[self._owner], self._owner)
         self._inverse = fieldmasses.inverse(self.moments, self.mass)
         self._turned = np.zeros((self.n_blocks, 3))  # by the last step
         self._modes: Any = None  # of local damping with the true masses, made when asked for
@@ -135,6 +135,11 @@ class FieldBlocks:
     def place(self, q: Array, x: Array) -> None:
         """Write the positions of the batch's gridpoints into `x` [m]."""
         kernels.place(self._q(q), self._X, self.centre0, self.phi, self._start, x[self.gridpoints])
+
+    def show(self, q: Array, x: Array) -> None:
+        """Write where the material points of the batch's gridpoints are into `x` [m]."""
+        if self.material is not self.phi:
+            kernels.place(self._q(q), self._X, self.centre0, self.material, self._start, x[self.gridpoints])
 
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write the gridpoint velocities ``P v`` into `xdot` [m/s]."""
@@ -253,13 +258,19 @@ class FieldBlocks:
     ) -> float:
         """Largest unbalanced force, or moment over the block size, over the largest force acting on a block.
 
-        The forces on coefficients count as forces over the block size (quadratic functions: over its square).
+        The forces on coefficients count as forces over the block size (quadratic functions: over its square). Unknowns
+        end at their last bits, and so forces: that much is not counted when masses, and so stiffness, are known.
         """
         if not self.free.any():
             return 0.0
         inner = np.zeros(len(unbalanced))
         self.internal(q, x, inner)
-        left, strained = (self._sizes(f).max(axis=1) for f in (unbalanced, inner))
+        left, strained = self._sizes(unbalanced), self._sizes(inner).max(axis=1)
+        if scaled is not None:
+            noise = np.zeros(len(unbalanced))
+            self._v(noise)[:] = np.einsum("nij,nj->ni", np.abs(scaled[0]), np.abs(self._q(q)))
+            left -= 8 * np.finfo(float).eps * self._sizes(noise)
+        left = np.maximum(left, 0.0).max(axis=1)
         pushed = np.add.reduceat(pushes[self.gridpoints], self._start[:-1])
         acting = np.maximum(np.maximum(pushed, strained), self.mass * gravity)
         return share(float(left[self.free].max()), float(acting[self.free].max()))

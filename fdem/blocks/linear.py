@@ -101,6 +101,7 @@ class LinearBlocks(FieldBlocks):
     def __init__(self, *, integrals: Array, fairing: Array, **given: Any) -> None:
         self.integrals = np.ascontiguousarray(integrals, dtype=np.float64)
         super().__init__(**given)
+        self.phi = self.material.copy()
         self.phi[:, 3:] += fairing
         self.stress0 = np.zeros((0, 10, 6))
         self._field0 = np.zeros((self.n_blocks, 10, 6))

@@ -52,6 +52,9 @@ class Blocks(Protocol):
     def place(self, q: np.ndarray, x: np.ndarray) -> None:
         """Write the gridpoint positions of configuration `q` into `x` [m]."""
 
+    def show(self, q: np.ndarray, x: np.ndarray) -> None:
+        """Write the places of material points where contact sees gridpoints a little off them."""
+
     def push(self, q: np.ndarray, v: np.ndarray, xdot: np.ndarray) -> None:
         """Write gridpoint velocities ``P(q) v`` into `xdot` [m/s]."""
 

@@ -100,6 +100,9 @@ class RigidBlocks:
         """Write the positions ``X + (c - C) + (R - 1)(X - C)`` of the batch's gridpoints into ``x`` [m]."""
         kernels.rigid_place(self._q(q), self._X, self.centre0, self._start, x[self.gridpoints])
 
+    def show(self, q: Array, x: Array) -> None:
+        """Nothing: gridpoints are material points."""
+
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write the gridpoint velocities ``v + omega x r`` into ``xdot`` [m/s]."""
         kernels.rigid_push(self._q(q), self._v(v), self._X, self.centre0, self._start, xdot[self.gridpoints])

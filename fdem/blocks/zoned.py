@@ -188,6 +188,9 @@ class ZonedBlocks:
         if not np.may_share_memory(target, source):
             target[:] = source.reshape(-1, 3)
 
+    def show(self, q: Array, x: Array) -> None:
+        """Nothing: gridpoints are material points."""
+
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write velocities of gridpoints (n_gp, 3) [m/s]."""
         xdot[self.gridpoints] = v[self.dofs].reshape(-1, 3)
