@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 SKIN = 0.1  # of the radius: pairs are looked for that much further, and again when half of it is used up
 GROWN = 1.1  # growth of stiffness, in squared frequency, after which the step is found again
+UNSEEN = 0.1  # of the radius per step: far below, the stiffness that an impact will have is known from its speed
 FAST = 0.25  # of the radius: motion in a step from which on a sphere could pass something
 
 
@@ -402,6 +403,12 @@ class SphereContacts:
             return False
         self._known = GROWN * now
         return True
+
+    def unseen_motion(self, xdot: Array) -> float:
+        """Longest step [s] in which no sphere moves by more than a tenth of its radius; infinite at rest."""
+        speed = np.sqrt(np.einsum("ij,ij->i", xdot[self.particles.gp], xdot[self.particles.gp]))
+        with np.errstate(divide="ignore"):
+            return float((UNSEEN * self.particles.radius / speed).min(initial=np.inf))
 
     def add_pushes(self, pushes: Array) -> None:
         """Add the sum of normal forces on every sphere to `pushes` (n_gp,) [N]: on its one gridpoint they cancel."""

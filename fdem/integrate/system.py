@@ -269,9 +269,17 @@ class System:
 
     def unseen_motion(self) -> float:
         """Longest step [s] in which no block moves so far that a stiff contact goes unseen; infinite at rest."""
-        speed = self._pushed(self.state.v)
-        fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
-        return MOTION * self._smallest / fastest if fastest > 0.0 else np.inf
+        speed, faced = self._pushed(self.state.v), np.ones(self.model.n_blocks, dtype=bool)
+        unseen = np.inf
+        if self.particles is not None:
+            faced[self.particles.particles.block] = False
+            unseen = self.particles.unseen_motion(speed)
+        if not faced.any():
+            return unseen
+        square = np.einsum("ni,ni->n", speed, speed) * faced[self.model.gp_block]
+        fastest = float(np.sqrt(square.max(initial=0.0)))
+        size = float(self.model.size[faced & ~self.model.fixed].min(initial=np.inf))
+        return min(unseen, MOTION * size / fastest) if fastest > 0.0 else unseen
 
     def slow_down(self, dt: float) -> None:
         """Take away from the velocities what would move a block by more than MOTION of its size in `dt`."""

@@ -24,15 +24,6 @@ from fdem._jit import kernel
 
 
 @kernel
-def _limited(length, stiffness, cap, lost):
-    """Share of a rotation `length` [rad] that a spring with the limit `cap` [N m] keeps, and the work of the rest."""
-    if stiffness * length <= cap or length == 0.0:
-        return 1.0, lost
-    kept = cap / stiffness
-    return kept / length, lost + cap * (length - kept)
-
-
-@kernel
 def _energy(root, held):
     """Energy [J] of the springs of one contact."""
     rolled = held[0] * held[0] + held[1] * held[1] + held[2] * held[2]
@@ -46,14 +37,14 @@ def _couple(dx, dy, dz, nx, ny, nz, about, root, old_root, row, pressing, held, 
     (dx, dy, dz) is the rotation of the first side against the other since the last commit, `about` that of the pair
     about the normal, `row` of the table, `pressing` the normal force [N].
     """
-    lost = 0.0
     for c in range(3):
         moment[c] = 0.0
     grown = min(old_root / root, 1.0)
     twist = dx * nx + dy * ny + dz * nz
     rolling, twisting = row[8], row[9]
-    before = _energy(old_root, held)
-    held[4], held[5] = row[0] * rolling * rolling, row[1] * twisting * twisting
+    lost = _energy(old_root, held)
+    kr, kw = row[0] * rolling * rolling, row[1] * twisting * twisting
+    held[4], held[5] = kr, kw
     if rolling > 0.0:
         s0, s1, s2 = held[0], held[1], held[2]
         length = s0 * s0 + s1 * s1 + s2 * s2
@@ -63,26 +54,26 @@ def _couple(dx, dy, dz, nx, ny, nz, about, root, old_root, row, pressing, held, 
             s0 + about * (ny * s2 - nz * s1), s1 + about * (nz * s0 - nx * s2), s2 + about * (nx * s1 - ny * s0)
         )  # fmt: skip
         flat = b0 * b0 + b1 * b1 + b2 * b2
-        scale = grown * math.sqrt(length / flat) if flat > 0.0 else 0.0
-        held[0], held[1], held[2] = b0 * scale, b1 * scale, b2 * scale
-    held[3] *= grown
-    lost += before - _energy(root, held)
-    if rolling > 0.0:
-        s0, s1, s2 = held[0] + dx - twist * nx, held[1] + dy - twist * ny, held[2] + dz - twist * nz
-        k = held[4] * root
-        share, lost = _limited(math.sqrt(s0 * s0 + s1 * s1 + s2 * s2), k, rolling * pressing, lost)
+        scale = math.sqrt(length / flat) if flat > 0.0 else 0.0
+        ex, ey, ez = dx - twist * nx, dy - twist * ny, dz - twist * nz
+        lost += 0.5 * kr * old_root * scale * (b0 * ex + b1 * ey + b2 * ez)
+        scale *= grown
+        s0, s1, s2 = b0 * scale + ex, b1 * scale + ey, b2 * scale + ez
+        length = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
+        share = min(1.0, rolling * pressing / (kr * root * length)) if length > 0.0 else 0.0
         held[0], held[1], held[2] = s0 * share, s1 * share, s2 * share
+        lost += 0.5 * kr * root * (held[0] * ex + held[1] * ey + held[2] * ez)
         for c in range(3):
-            moment[c] -= k * held[c]
+            moment[c] -= kr * root * held[c]
     if twisting > 0.0:
-        k = held[5] * root
-        w = held[3] + twist
-        share, lost = _limited(abs(w), k, twisting * pressing, lost)
-        held[3] = w * share
-        moment[0] -= k * held[3] * nx
-        moment[1] -= k * held[3] * ny
-        moment[2] -= k * held[3] * nz
-    return lost
+        lost += 0.5 * kw * old_root * held[3] * twist
+        most = twisting * pressing / (kw * root)
+        held[3] = min(max(held[3] * grown + twist, -most), most)
+        lost += 0.5 * kw * root * held[3] * twist
+        moment[0] -= kw * root * held[3] * nx
+        moment[1] -= kw * root * held[3] * ny
+        moment[2] -= kw * root * held[3] * nz
+    return lost - _energy(root, held)
 
 
 @kernel
