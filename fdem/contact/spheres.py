@@ -97,8 +97,6 @@ class SphereContacts:
         self.faces = FaceContacts.group(np.zeros(0, int), np.zeros(0, int), np.zeros(1, np.int32), self._couples)
         self.detect(x)
 
-    # ------------------------------------------------------------------ detection
-
     def detect(self, x: Array, motion: Array | None = None) -> None:
         """Look for near pairs in the positions `x`, of spheres that moved by `motion` (n,) [m] further than usual."""
         p = self.particles

@@ -286,9 +286,7 @@ class System:
         state, model = self.state, self.model
         if dt * self._speed_bound() <= MOTION * self._smallest:
             return
-        speed = np.zeros_like(state.x)
-        for batch in model.batches:
-            batch.push(state.q, state.v, speed)
+        speed = self._pushed(state.v)
         path = dt * np.sqrt(np.einsum("ni,ni->n", speed, speed))
         if not (path > MOTION * model.size[model.gp_block]).any():
             return
