@@ -73,6 +73,9 @@ class SphereBlocks:
         """Write the centres into ``x`` [m]."""
         x[self.gridpoints] = self._q(q)
 
+    def show(self, q: Array, x: Array) -> None:
+        """Nothing: a centre is a material point."""
+
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write the velocities of the centres into ``xdot`` [m/s]."""
         xdot[self.gridpoints] = self._v(v)[:, :3]
