@@ -132,12 +132,23 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied], before:
         zone_notes = [*zone_notes, f"zones: {len(kept)} blocks keep those they had, which do not fit new neighbours"]
     surfaces = _facets(scene, blocks, kind)
     meshes = [kept.get(block.name, zoned.get(block, surfaces.get(block))) for block in blocks]
-    points, loops, loop_tags, triangles, triangle_tags = [], [], [], [], []
+    points: list[Any] = []
+    loops: list[Any] = []
+    loop_tags: list[Any] = []
+    triangles: list[Any] = []
+    triangle_tags: list[Any] = []
+    none: list[Any] = []
     for block, mesh, moves in zip(blocks, meshes, kind, strict=True):
+        if isinstance(block.shape, Balls):
+            points.append(_ball_points(block.shape, moves) - origin)
+            for empty in (loops, loop_tags, triangle_tags):
+                empty.append(none)  # one list for all: there may be many spheres
+            triangles.append(block.shape.triangles)
+            continue
         surface = surface_of(block.shape)
         face_tags = list(surface.face_tags)
         if mesh is None:
-            points.append((_ball_points(surface, moves) if isinstance(surface, Balls) else surface.points) - origin)
+            points.append(np.asarray(surface.points) - origin)
             loops.append([np.asarray(face, dtype=np.int32) for face in surface.faces])
             loop_tags.append(face_tags)
             triangles.append(np.asarray(surface.triangles))

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 DENSE = 4096  # rows of a table that holds every combination of classes
-COLUMNS = 10
+COLUMNS = 11
 
 
 @dataclass
@@ -101,7 +101,7 @@ class SphereTable:
 
     Attributes
     ----------
-    rows : (k, 10) array
+    rows : (k, 11) array
         See kernels/spheres.py.
     """
 
@@ -132,7 +132,7 @@ class SphereTable:
             self.rows = self._constants(rule, self._sides[a], self._sides[b])
 
     def hardest(self, sides: slice) -> Array:
-        """Rows (n, 10) of `sides` against a rigid plane, under the law that makes it stiffest."""
+        """Rows (n, 11) of `sides` against a rigid plane, under the law that makes it stiffest."""
         plane = np.tile([np.inf, 0.0, 0.0, 0.0, 0.0], (self._n, 1))
         best = np.zeros((self._n, COLUMNS))
         for k in range(len(self.laws)):
@@ -178,24 +178,30 @@ class SphereTable:
                 )
 
     def _constants(self, rule: Any, first: Array, second: Array) -> Array:
-        """Rows (n, 10) of kernels/spheres.py for contacts between sides (n, 5)."""
+        """Rows (n, 11) of kernels/spheres.py for contacts between sides (n, 5)."""
         rows = np.zeros((len(rule), COLUMNS))
         for k, law in enumerate(self.laws):
             mine = np.flatnonzero(rule == k)
             a, b = first[mine], second[mine]
+            inverse = a[:, 1] + b[:, 1]
             with np.errstate(divide="ignore", invalid="ignore"):
-                mass = 1.0 / (a[:, 1] + b[:, 1])
                 if law.hertz:
-                    rows[mine, :4] = self._hertz(law, a, b, mass)
+                    normal, shear = self._compliance(law, a, b)
+                    root = np.sqrt(1.0 / (1.0 / a[:, 0] + 1.0 / b[:, 0]))
+                    rows[mine, 0], rows[mine, 1] = 4.0 / 3.0 / normal * root, 8.0 / shear * root
                 else:
                     area = np.pi * np.minimum(a[:, 0], b[:, 0]) ** 2
-                    rows[mine, 0] = law.kn * area
-                    rows[mine, 1] = law.ks * area
-                    rows[mine, 2] = 2.0 * law.damping * np.sqrt(rows[mine, 0] * mass)
-                    rows[mine, 3] = 2.0 * law.damping * np.sqrt(rows[mine, 1] * mass / 3.5)
+                    rows[mine, 0], rows[mine, 1] = law.kn * area, law.ks * area
+                rows[mine, 7], rows[mine, 8] = 1.0 / inverse, inverse
+            # in the variable 2 d^(5/4) / sqrt(5) a Hertz contact with the dashpot a sqrt(m K) d^(1/4) is a linear one
+            # with the damping ratio a / sqrt(5) (Antypov and Elliott, EPL 94 (2011) 50004): the restitution of a linear
+            # contact that does not pull is also its own
+            rows[mine, 2] = law.damping * (np.sqrt(5.0) if law.hertz else 2.0)
             rows[mine, 4], rows[mine, 5] = law.tan, float(law.hertz)
-            rows[mine, 7] = a[:, 1] + b[:, 1]
-            rows[mine, 8], rows[mine, 9] = law.rolling, law.twisting
+            rows[mine, 9], rows[mine, 10] = law.rolling, law.twisting
+            with np.errstate(divide="ignore", invalid="ignore"):
+                # the same fraction of critical across, where a sphere that rolls has 2/7 of its mass
+                rows[mine, 3] = 2.0 * law.damping * np.sqrt(rows[mine, 1] / (3.5 * rows[mine, 0]))
         # without shear stiffness there is no friction; a spring of any stiffness with no limit says so
         slick = rows[:, 1] == 0.0
         rows[slick, 4], rows[slick, 3], rows[slick, 1] = 0.0, 0.0, rows[slick, 0]
@@ -211,18 +217,3 @@ class SphereTable:
             own = side[:, 2:4] if law.compliance is None else np.asarray(law.compliance) * side[:, 4:5]
             normal, shear = normal + own[:, 0], shear + own[:, 1]
         return normal, shear
-
-    def _hertz(self, law: SphereLaw, first: Array, second: Array, mass: Array) -> Array:
-        """Columns 0-3: stiffness and dashpots of a Hertz-Mindlin contact.
-
-        In the variable ``2 d^(5/4) / sqrt(5)`` a Hertz contact with the dashpot ``a sqrt(m K) d^(1/4)`` is a linear
-        one with the damping ratio ``a / sqrt(5)`` (Antypov and Elliott, EPL 94 (2011) 50004), so that the restitution
-        of a linear contact that does not pull is also that of this one.
-        """
-        normal, shear = self._compliance(law, first, second)
-        root = np.sqrt(1.0 / (1.0 / first[:, 0] + 1.0 / second[:, 0]))
-        stiffness, tangent = 4.0 / 3.0 / normal * root, 8.0 / shear * root
-        dashpot = np.sqrt(5.0) * law.damping * np.sqrt(mass * stiffness)
-        # the same fraction of critical across, where a sphere that rolls has 2/7 of its mass
-        across = 2.0 * law.damping * np.sqrt(tangent * mass / 3.5)
-        return np.column_stack([stiffness, tangent, dashpot, across])

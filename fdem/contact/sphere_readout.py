@@ -11,6 +11,7 @@ from fdem.contact.facets import FaceContacts
 from fdem.contact.table import frames
 from fdem.errors import CheckpointError
 from fdem.kernels import joints
+from fdem.kernels import particles as kernels
 
 if TYPE_CHECKING:
     from fdem.contact.spheres import SphereContacts
@@ -30,7 +31,7 @@ def _touching(c: SphereContacts) -> dict[str, Any]:
     rows = np.flatnonzero(c.trial_roots() > 0.0)
     first, second = c.pair_particles(rows)
     overlap = c.overlaps()[rows]
-    place = c.place[c.places()]
+    place = c.place[c.at]
     between = place[second, :3] - place[first, :3]
     normal = between / np.linalg.norm(between, axis=1)[:, None]
     arm = p.radius[first] - 0.5 * overlap
@@ -93,7 +94,7 @@ def forces_between(c: SphereContacts, chosen: Any, f_gp: Array) -> None:
     first, second = c.pair_particles()
     rows = np.flatnonzero((c.trial_roots() > 0.0) & (chosen[p.block[first]] != chosen[p.block[second]]))
     first, second = first[rows], second[rows]
-    place = c.place[c.places()]
+    place = c.place[c.at]
     between = place[second, :3] - place[first, :3]
     normal = between / np.linalg.norm(between, axis=1)[:, None]
     on_second = record[rows, :1] * normal + record[rows, 1:]
@@ -163,7 +164,19 @@ def adopt(new: SphereContacts, old: SphereContacts, rows: Any, x: Array) -> None
     for i, b in enumerate(old.particles.block):
         if block[b] in first_new:
             number[i] = first_new[int(block[b])] + i - first_old[int(b)]
-    new.take_over(old, number, block, x)
+    there = np.full(len(new.particles), -1, np.int64)
+    there[number[number >= 0]] = np.flatnonzero(number >= 0)
+    new.detect(x)
+    at_old = np.where(there[new.order] >= 0, old.at[there[new.order]], -1)
+    source = np.zeros(len(new.partner), np.int64)
+    lists = (old.start, old.partner), (at_old, new.start, new.partner)
+    kernels.carry_pairs(*lists[0], old.memory, *lists[1], new.memory, source)
+    if len(old.held) and len(new.held):
+        kernels.carry_pairs(*lists[0], old.held, *lists[1], new.held, source)
+    new.faces.inherit(old.faces, at_old, new.n_blocks, block)
+    new.turn[number[number >= 0]] = old.turn[number >= 0]
+    new.work[:] = old.work
+    new.stiffest, new._known = old.stiffest, old._known
 
 
 def notes(c: SphereContacts) -> list[str]:

@@ -167,7 +167,7 @@ def springs_of(c: SphereContacts, x: Array, xdot: Array) -> ParticleSprings:
     rows = c.table.rows[kind]
     kn, kt = _stiffness(rows, overlap, np.maximum(closing, 0.0) ** 2, radius, c.gravity, inverse)
     twice = np.where(both, 2.0, 1.0)
-    turning = twice * (kn * rows[:, 8] ** 2 + kt * rows[:, 9] ** 2)
+    turning = twice * (kn * rows[:, 9] ** 2 + kt * rows[:, 10] ** 2)
     return ParticleSprings(
         p.gp, p.block, x[p.gp], p.radius, alone(c, xdot), first, second, normal, twice * kn, twice * kt, turning,
         face_gp, weight,
@@ -196,7 +196,8 @@ def _stiffness(
     root = np.where(hertz, (np.maximum(overlap, 0.0) ** 2.5 + energy) ** 0.2, 1.0)
     # a dashpot across, of the ratio z, lags half a step: the stable step w has ``w^2 (1 + z w) = 4`` instead of 4
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(inverse > 0.0, 0.5 * rows[:, 3] * np.sqrt(3.5 * inverse / rows[:, 1]), 0.0)
+        ratio = 0.5 * rows[:, 3] * np.sqrt(3.5 * rows[:, 0] / rows[:, 1])
+    ratio = np.where(ratio > 0.0, ratio, 0.0)
     # not where the spheres are pressed together more than that already
     impact = (pressed > FELT * radius) & (pressed > 0.5 * overlap)
     normal = rows[:, 0] * root * np.where(hertz, 1.5, 1.0) * np.where(impact, RESOLVED, 1.0)

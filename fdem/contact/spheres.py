@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fdem.contact.facets import FaceContacts, Facets
 from fdem.contact.particles import Particles, SphereTable
 from fdem.contact.sphere_springs import ParticleSprings, alone, springs_of
-from fdem.errors import OverlapError
+from fdem.errors import OverlapError, SceneError
 from fdem.kernels import couples, spheres
 from fdem.kernels import facets as face_kernels
 from fdem.kernels import particles as kernels
@@ -96,6 +96,11 @@ class SphereContacts:
         self.memory, self.held, self.rule = np.zeros((0, 5)), np.zeros((0, 6)), np.zeros(0, np.int32)
         self.faces = FaceContacts.group(np.zeros(0, int), np.zeros(0, int), np.zeros(1, np.int32), self._couples)
         self.detect(x)
+        try:
+            self.forces(x, x, 0.0, np.zeros_like(x), np.zeros(int(particles.spin.max(initial=0)) + 3))
+        except OverlapError as error:
+            raise SceneError(str(error)) from None
+        self._trial = False
 
     def detect(self, x: Array, motion: Array | None = None) -> None:
         """Look for near pairs in the positions `x`, of spheres that moved by `motion` (n,) [m] further than usual."""
@@ -206,35 +211,6 @@ class SphereContacts:
             faces.prepare(self.facets, x)
         self._trial = False
 
-    def take_over(self, old: SphereContacts, number: Any, block: Any, x: Array) -> None:
-        """Go on from the history of `old`.
-
-        Parameters
-        ----------
-        old : SphereContacts
-            Of another model.
-        number, block : int arrays
-            New number of every old particle and block, -1: gone.
-        x : (n_gp, 3) array
-            Positions now [m].
-        """
-        there = np.full(len(self.particles), -1, np.int64)
-        there[number[number >= 0]] = np.flatnonzero(number >= 0)
-        self.detect(x)
-        at_old = np.where(there[self.order] >= 0, old.places()[there[self.order]], -1)
-        source = np.zeros(len(self.partner), np.int64)
-        kernels.carry_pairs(
-            old.start, old.partner, old.memory, at_old, self.start, self.partner, self.memory, source
-        )  # fmt: skip
-        if self._couples and len(old.held):
-            kernels.carry_pairs(
-                old.start, old.partner, old.held, at_old, self.start, self.partner, self.held, source
-            )  # fmt: skip
-        self.faces.inherit(old.faces, at_old, self.n_blocks, block)
-        self.turn[number[number >= 0]] = old.turn[number >= 0]
-        self.work[:] = old.work
-        self.stiffest, self._known = old.stiffest, old._known
-
     def update(self, x: Array, x_old: Array, v: Array, dt: float) -> bool:
         """Follow a step of `dt` [s] with the velocities `v`, and look for pairs again if due.
 
@@ -272,7 +248,7 @@ class SphereContacts:
         if pair < 0 and group < 0:
             return
         if pair >= 0:
-            a, b = (int(p.block[k[pair]]) for k in self.pair_particles())
+            a, b = (int(p.block[k[int(pair)]]) for k in self.pair_particles())
         else:
             a, b = int(p.block[self.order[faces.at[group]]]), int(faces.block[group])
         raise OverlapError(

@@ -80,6 +80,7 @@ class System:
         self._torques = [load for load in loads if isinstance(load, Torque)]
         self._turning = np.zeros_like(state.v) if self._torques else None
         self._turning_old = np.zeros_like(state.v) if self._torques and energy else None
+        self._spun = np.zeros_like(state.v) if self._torques and energy else None
         self._keeps_old = contacts is not None or particles is not None or self._load_old is not None
         self.weight = self._weight()
         self.weigh()
@@ -191,7 +192,7 @@ class System:
             moved = self.state.x - self.state.x_old
             work += 0.5 * float(np.vdot(self._load_old + self.f_load, moved))
         if self._turning_old is not None and self.state.step > 0:
-            work += 0.5 * self.dt * float((self._turning_old + self._turning) @ self.state.v)
+            work += 0.5 * float((self._turning_old + self._turning) @ self._spun)
         if self._reaction_old is not None and self.state.step > 0:
             given = self.constraints.given(self.state.v)
             work -= 0.5 * self.dt * float((self._reaction_old + self.state.f) @ given)
@@ -201,6 +202,8 @@ class System:
         """Move the configuration by `dt` [s] with the present velocities; look for contacts if due."""
         state = self.state
         aims = [group.aim(state.q, state.v, dt) for group in self.constraints.coupled]
+        if self._spun is not None:
+            np.multiply(state.v, dt, out=self._spun)
         for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
             batch.advance(state.q, state.v, dt, scaled)
         for group, aim in zip(self.constraints.coupled, aims, strict=True):

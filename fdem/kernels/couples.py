@@ -7,7 +7,7 @@ hold obey the rule of the elastic slip: they turn with the contact, and shrink w
 
 | shared argument | shape | |
 |---|---|---|
-| kind, table | | as in kernels/spheres.py; columns 8 and 9 are the rolling and the twisting length [m] |
+| kind, table | | as in kernels/spheres.py; columns 9 and 10 are the rolling and the twisting length [m] |
 | normal force | (m,) | column 0 of a record [N] |
 | old, new | (m, 6) | committed and trial: rotations of rolling (0-2) and twisting (3) [rad], their stiffness over r |
 | force | (n, 6) | moments in 3-5 are added to [N m] |
@@ -41,7 +41,7 @@ def _couple(dx, dy, dz, nx, ny, nz, about, root, old_root, row, pressing, held, 
         moment[c] = 0.0
     grown = min(old_root / root, 1.0)
     twist = dx * nx + dy * ny + dz * nz
-    rolling, twisting = row[8], row[9]
+    rolling, twisting = row[9], row[10]
     lost = _energy(old_root, held)
     kr, kw = row[0] * rolling * rolling, row[1] * twisting * twisting
     held[4], held[5] = kr, kw

@@ -2,8 +2,8 @@
 
 Every law is one formula in the overlap d and what the pair's row of `table` says:
 
-    N = K d r + c_n sqrt(r) d'                    not less than 0
-    T = k_t r s + c_t sqrt(r) s'                  spring not more than mu N, no dashpot where both are more
+    N = K d r + z_n sqrt(m K r) d'                not less than 0
+    T = k_t r s + z_t sqrt(m K r) s'              spring not more than mu N, no dashpot where both are more
 
 with ``r = sqrt(d)`` for Hertz-Mindlin (K = 4/3 E* sqrt(R*), k_t = 8 G* sqrt(R*)) and ``r = 1`` for linear springs. s
 is the elastic slip, a vector that turns with the contact. Where the contact area grows, s shrinks so that T stays (new
@@ -18,7 +18,7 @@ The two bodies meet in the middle of the overlap: arms and forces are those of o
 | motion | (n, 8) | displacement [m] (0-2) and rotation [rad] (3-5) since the last commit |
 | start, partner | uint32 | half list of pairs |
 | kind | (m,) uint32 | row of `table` |
-| table | (k, 10) | K [N/m, N/m^1.5], k_t, c_n, c_t, mu, 1 for Hertz or 0, 1/k_t, 1/(reduced mass) [1/kg], rolling and
+| table | (k, 11) | K [N/m, N/m^1.5], k_t, z_n, z_t, mu, 1 for Hertz or 0, 1/k_t, reduced mass m [kg], 1/m, rolling and
 twisting length [m] |
 | memory_old, memory | (m, 5) | committed and trial history: s [m], r (0: open), z: half of what the contact force
 adds to the closing speed in a step less half that speed [m/s] |
@@ -73,7 +73,7 @@ def _pair_geometry(work):
 
 @kernel
 def _law(work, dt, inverse_dt):
-    """Forces of L contacts (top of file) from rows 14-21, history in 24-28 and table in 29-36.
+    """Forces of L contacts (top of file) from rows 14-21, history in 24-28 and table in 29-37.
 
     Out: row 0 N, 1-3 T, 4 friction work, 5 damping work, 6 stiffness over mass, 24-28 history.
 
@@ -89,15 +89,15 @@ def _law(work, dt, inverse_dt):
         s0, s1, s2, old_root = work[24 * L + i], work[25 * L + i], work[26 * L + i], work[27 * L + i]
         hertz = work[34 * L + i]
         root = math.sqrt(overlap) if hertz > 0.0 else 1.0
-        fourth = math.sqrt(root)
         closing = ex * nx + ey * ny + ez * nz
         ex, ey, ez = ex - closing * nx, ey - closing * ny, ez - closing * nz
         stiffness = work[29 * L + i] * root
         elastic = stiffness * overlap
         # a contact that began a share of a step ago is damped for that and the half step to come
         begun = 0.5 + overlap / closing if old_root == 0.0 and overlap < closing else 1.0
-        dashpot = work[31 * L + i] * fourth * begun
-        step, speed = 0.5 * OWN * dt * work[36 * L + i], closing * inverse_dt
+        critical = math.sqrt(stiffness * work[36 * L + i])
+        dashpot = work[31 * L + i] * critical * begun
+        step, speed = 0.5 * OWN * dt * work[37 * L + i], closing * inverse_dt
         before = work[28 * L + i] if old_root > 0.0 else -0.5 * speed
         # nothing is carried on from a force without a step before it: at the start, and out of fictitious time
         known = 1.0 if before != 0.0 else 0.0
@@ -134,7 +134,7 @@ def _law(work, dt, inverse_dt):
         s0, s1, s2 = s0 * share, s1 * share, s2 * share
         friction += 0.5 * kt * (s0 * ex + s1 * ey + s2 * ez - held * held)
         # the dashpot beside the spring, where the cone holds both; rolling, a sphere gives way 7/2 as easily
-        drag = work[32 * L + i] * fourth
+        drag = work[32 * L + i] * critical
         drag *= inverse_dt / (1.0 + 3.5 * drag * step)
         slip = ex * ex + ey * ey + ez * ez
         left = cap - kt * held
@@ -143,7 +143,7 @@ def _law(work, dt, inverse_dt):
         work[L + i], work[2 * L + i], work[3 * L + i] = kt * s0 + drag * ex, kt * s1 + drag * ey, kt * s2 + drag * ez
         work[4 * L + i] = friction
         work[5 * L + i] = viscous * closing + drag * slip
-        work[6 * L + i] = stiffness * (1.0 + 0.5 * hertz) * work[36 * L + i]
+        work[6 * L + i] = stiffness * (1.0 + 0.5 * hertz) * work[37 * L + i]
         work[24 * L + i], work[25 * L + i], work[26 * L + i], work[27 * L + i] = s0, s1, s2, root
         work[28 * L + i] = step * normal - 0.5 * speed
 
@@ -151,7 +151,7 @@ def _law(work, dt, inverse_dt):
 @kernel
 def _lanes():
     """Work of L contacts that gives no NaN wherever it is not filled."""
-    work = np.zeros(37 * L)
+    work = np.zeros(38 * L)
     for i in range(L):
         work[i] = work[3 * L + i] = work[4 * L + i] = work[17 * L + i] = 1.0
         work[29 * L + i] = work[30 * L + i] = work[35 * L + i] = 1.0
@@ -233,7 +233,7 @@ def pair_forces(place, motion, start, partner, kind, table, memory_old, memory, 
             law = kind[k]
             if filled[count] != law:
                 filled[count] = law
-                for c in range(8):
+                for c in range(9):
                     work[(29 + c) * L + count] = table[law, c]
             first[count], second[count], row[count] = a, b, k
             count += 1
@@ -284,7 +284,7 @@ def face_forces(
                 work[(14 + c) * L + count] = geometry[k, c]
             for c in range(5):
                 work[(24 + c) * L + count] = memory_old[source[k], c] if source[k] >= 0 else 0.0
-            for c in range(8):
+            for c in range(9):
                 work[(29 + c) * L + count] = table[kind[k], c]
             row[count] = k
             count += 1

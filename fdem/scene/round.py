@@ -37,9 +37,9 @@ class Balls(Shape):
     face_tags: ClassVar[tuple[str, ...]] = ()
     radii: Array
 
-    @cached_property
+    @property
     def bounds(self) -> Array:
-        """Lower and upper corner of the bounding box, (2, 3) [m]."""
+        """Lower and upper corner of the bounding box, (2, 3) [m]; not kept, there may be many spheres."""
         r = self.radii[:, None]
         return _frozen(np.array([(self.points - r).min(axis=0), (self.points + r).max(axis=0)]))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -104,25 +104,23 @@ class Scene:
         SceneError
             If a value is wrong; the message names block, field and value.
         """
-        if isinstance(shape, (list, tuple)):
-            names: Iterable[str | None] = [None if name is None else f"{name}_{i}" for i in range(len(shape))]
-            given = dict(group=group, fixed=fixed, velocity=velocity, angular_velocity=angular_velocity)
-            if not shape:
-                raise SceneError("add: the list of shapes is empty")
-            return [self.add(s, body, material, name=n, **given) for s, n in zip(shape, names, strict=True)]  # type: ignore[arg-type]
+        several = isinstance(shape, (list, tuple))
+        if several and not shape:
+            raise SceneError("add: the list of shapes is empty")
+        first = self._names.unused("block", len(self.handles)) if name is None else name
+        moves = {"velocity": velocity, "angular_velocity": angular_velocity}
+        # one array for all blocks of a list
+        given: dict[str, Any] = {key: vector(f"block {first!r}", key, value) for key, value in moves.items()}
+        given |= {"body": body, "material": material, "group": group, "fixed": bool(fixed)}
+        if not several:
+            return self._add(shape, name, given)
+        return [self._add(s, None if name is None else f"{name}_{i}", given) for i, s in enumerate(shape)]
+
+    def _add(self, shape: Any, name: str | None, given: dict[str, Any]) -> Block:
         label = self._names.unused("block", len(self.handles)) if name is None else name
         self._names.check(label, "block")
-        block = Block(
-            self,
-            label,
-            shape=as_shape(shape),
-            body=body,
-            material=material,
-            group=group,
-            fixed=bool(fixed),
-            velocity=vector(f"block {label!r}", "velocity", velocity),
-            angular_velocity=vector(f"block {label!r}", "angular_velocity", angular_velocity),
-        )
+        group = given["group"]
+        block = Block(self, label, shape=as_shape(shape), **given)
         self.check(block)
         wanted = [(label, "block"), *([] if group is None else [(group, "group")])]
         wanted += [(tag, "tag") for tag in sorted(tags_of(block.shape))]
@@ -383,7 +381,7 @@ class Scene:
             for block in handle.tree():
                 if block.name == name:
                     return [(leaf, None) for leaf in block.leaves()]
-        kinds = self._names.kinds.get(name, set())
+        kinds = self._names.kinds.get(name, frozenset())
         blocks = self.blocks
         if kinds in ({"joint set"}, {"cutting shape"}, {"tag"}):
             return [(block, name) for block in blocks if name in tags_of(block.shape)]
