@@ -99,7 +99,7 @@ class SphereBlocks:
         """Move the centres by ``dt`` [s]; angular velocities are momenta and stay."""
         kernels.ball_advance(self._q(q), self._v(v), dt)
 
-    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array, scaled: Array | None = None) -> None:
         """Write local damping into `out`: a share of the force against every unknown's velocity."""
         out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
 

@@ -116,7 +116,7 @@ class JointTables:
             side.blocks[:] = np.any([part.blocks for part in parts], axis=0)
             side.sets, side.tags = [t for p in parts for t in p.sets], [t for p in parts for t in p.tags]
             return side
-        kinds = scene._names.kinds.get(target, set()) if isinstance(target, str) else set()
+        kinds: frozenset[str] | set[str] = scene._names.kinds.get(target, set()) if isinstance(target, str) else set()
         if kinds in ({"joint set"}, {"cutting shape"}, {"tag"}) or (faces and "cutting shape" in kinds):
             number = self.select.tag_number.get(target, -2)
             (side.tags if kinds == {"tag"} else side.sets).append(number)

@@ -28,10 +28,8 @@ class System:
     ----------
     model, state : Model, State
         What compile made.
-    contacts : Contacts or None
-        The contact layer.
-    particles : SphereContacts or None
-        Contacts with a sphere in them.
+    contacts, particles : Contacts or None, SphereContacts or None
+        The contact layer; contacts with a sphere in them.
     constraints : Constraints
         Fixed and prescribed components.
     loads : list of Load
@@ -210,8 +208,7 @@ class System:
             group.meet(state.q, aim)
         for batch in self.model.batches:
             batch.place(state.q, state.x)
-        state.t += dt
-        state.step += 1
+        state.t, state.step = state.t + dt, state.step + 1
         self.dt = dt
         self.current = False
         if self.contacts is not None and (self.contacts.update(state.x) or self.contacts.stiffer):

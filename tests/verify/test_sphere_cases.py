@@ -86,7 +86,7 @@ def rebound(law, speed, dt, radius=0.01, steps=300):
 
 @pytest.mark.parametrize("zeta", [0.02, 0.1, 0.3, 0.6])
 def test_restitution_of_linear_damping(zeta):
-    """Within 0.5 % at 100 steps per contact (1e-3 is reached: the dashpot acts in the middle of the step); no tension."""
+    """Within 0.5 % at 100 steps per contact (1e-3 is reached: the dashpot acts at mid-step); no tension."""
     mass, kn = 0.5 * 2500 * 4 / 3 * np.pi * 0.01**3, 1e8
     dt = np.pi * np.sqrt(mass / (kn * np.pi * 0.01**2)) / 100
     e, pull, closure = rebound(fdem.Coulomb(kn=kn, ks=0, friction=0, damping=zeta), 1.0, dt)
