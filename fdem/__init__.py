@@ -29,9 +29,9 @@ _HOME = {
     ),
     "fdem.log": ("show_log",),
     "fdem._jit": ("kernel",),
-    "fdem.scene.bodies": ("Rigid", "UniformStrain", "Zoned"),
+    "fdem.scene.bodies": ("LinearStrain", "Rigid", "UniformStrain", "Zoned"),
     "fdem.scene.materials": ("Elastic",),
-    "fdem.scene.joints": ("Bonded", "Coulomb", "Hertz", "Joint"),
+    "fdem.scene.joints": ("BartonBandis", "Bonded", "Coulomb", "Hertz", "Joint"),
     "fdem.scene.boundary": (
         "Displacement",
         "Drag",
@@ -68,6 +68,7 @@ _WHERE = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
     "Adaptive",
+    "BartonBandis",
     "Bonded",
     "Checkpoint",
     "CheckpointError",
@@ -88,6 +89,7 @@ __all__ = [
     "Joint",
     "JointError",
     "JointSet",
+    "LinearStrain",
     "Local",
     "MeshError",
     "Moment",

@@ -16,6 +16,7 @@ from fdem.contact.carry import adopt
 from fdem.errors import CheckpointError
 from fdem.model import Model
 from fdem.scene import boundary
+from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Block, Gridpoint
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ def transfer(source: Simulation, sim: Simulation) -> None:
         sim.system.forces()
         sim.system.commit()
         sim.system.current = False
-        sim.x0, sim.centroids0 = sim.state.x.copy(), sim.centroids()
+        sim.x0, sim.centroids0 = sim.places(), sim.centroids()
         sim.turned[:] = 0.0
 
 
@@ -135,12 +136,16 @@ def save(sim: Simulation, path: str | Path) -> None:
     for i, scaled in enumerate(system.scaled):
         if scaled is not None:
             arrays[f"scaled_{i}"] = scaled
+    arrays |= {f"coupled_{i}": group.inverse for i, group in enumerate(system.constraints.coupled)}
     if system.contacts is not None:
         arrays |= {f"contacts_{key}": value for key, value in system.contacts.state_arrays().items()}
     if system.particles is not None:
         arrays |= {f"spheres_{key}": value for key, value in sphere_readout.state_arrays(system.particles).items()}
     for i, (gp, forces, _, _) in enumerate(sim._releases):
         arrays |= {f"release_gp_{i}": gp, f"release_f_{i}": forces}
+    if sim._before is not None:
+        layout = sim.compiled.layout
+        arrays |= {f"kept_{key}": value for key, value in Kept(layout.origin, layout.kept).arrays().items()}
     handles = list(sim._applied)
     head = {
         "format": FORMAT,
@@ -237,6 +242,8 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
     sim._releases = [
         (saved[f"release_gp_{i}"], saved[f"release_f_{i}"], at, over) for i, (at, over) in enumerate(head["releases"])
     ]
+    kept = {key[len("kept_") :]: value for key, value in saved.items() if key.startswith("kept_")}
+    sim._before = Kept.read(kept) if kept else None
     sim._compile()
     for name, have, wanted in zip(head["names"], digests(sim.model), head["digests"], strict=True):
         if have != wanted:
@@ -254,6 +261,8 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
         if name in saved:
             setattr(system, name, saved[name])
     system.scaled = [saved.get(f"scaled_{i}") for i in range(len(system.scaled))]
+    for i, group in enumerate(system.constraints.coupled):
+        group.weigh(saved[f"coupled_{i}"])
     if system.contacts is not None:
         system.contacts.restore({k[len("contacts_") :]: v for k, v in saved.items() if k.startswith("contacts_")})
     if system.particles is not None:

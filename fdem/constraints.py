@@ -90,9 +90,9 @@ class Coupled:
 
     def __init__(self, block: int, dofs: slice, coords: slice, conditions: list[Condition]) -> None:
         self.block, self.dofs, self.coords, self.conditions = block, dofs, coords, conditions
-        self._rows = np.vstack([condition.rows for condition in conditions])
+        self.rows = np.vstack([condition.rows for condition in conditions])
         self._start = np.cumsum([0, *(len(condition.rows) for condition in conditions)])
-        self.weigh(np.eye(self._rows.shape[1]))
+        self.weigh(np.eye(self.rows.shape[1]))
 
     @property
     def moving(self) -> bool:
@@ -101,7 +101,7 @@ class Coupled:
 
     def weigh(self, inverse: np.ndarray) -> None:
         """Take `inverse` (d, d) as the inverse of the mass matrix."""
-        C = self._rows
+        C, self.inverse = self.rows, inverse
         # by a power of two to 1, so that what counts as dependent does not depend on units
         scale = np.exp2(-np.round(np.log2(np.maximum(np.linalg.norm(C @ inverse, axis=1), np.finfo(float).tiny))))
         gram = C @ inverse @ C.T * np.sqrt(scale[:, None] * scale[None, :])
@@ -130,10 +130,21 @@ class Coupled:
             wanted = condition.target * _factor(condition.handle, t)
             if condition.displacement:
                 left = wanted - (q - q0)[self.coords]
-                ahead, whole = (np.abs(condition.rows @ part).max() for part in (left, wanted))
-                wanted = (1.0 if ahead <= ARRIVED * whole else APPROACH) / dt * left
+                ahead, whole, place = (np.abs(condition.rows @ part).max() for part in (left, wanted, q[self.coords]))
+                # by shares it would stop where a share is less than the last bit of q
+                arrived = ahead <= max(ARRIVED * whole, 2.0 * np.finfo(float).eps / APPROACH * place)
+                wanted = (1.0 if arrived else APPROACH) / dt * left
             given += np.linalg.pinv(condition.rows) @ (condition.rows @ wanted)
         v[self.dofs] = self._free @ (v[self.dofs] - given) + given
+
+    def aim(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
+        """Coordinates (d,) at which velocities `v` arrive straight on."""
+        return q[self.coords] + dt * v[self.dofs]
+
+    def meet(self, q: np.ndarray, aim: np.ndarray) -> None:
+        """Let what is prescribed of `q` be that of `aim`, whatever way the block has taken there."""
+        off = q[self.coords] - aim
+        q[self.coords] -= self.given(off)
 
     def ahead(self, q: np.ndarray, q0: np.ndarray, t: float) -> float:
         """Prescribed displacement still to come, over the largest prescribed."""
@@ -215,6 +226,16 @@ class Constraints:
         self._clear(f)
         for group in self.coupled:
             group.release(f)
+
+    def carried_off(self, f: np.ndarray) -> np.ndarray:
+        """Return forces `f` without what `Coupled` conditions carry.
+
+        Then it is the forces that decide where a block comes to rest, whatever fictitious masses have turned to.
+        """
+        f = f.copy()
+        for group in self.coupled:
+            group.release(f)
+        return f
 
     def still(self, a: np.ndarray) -> None:
         """Take out of accelerations or velocities `a` what is prescribed."""

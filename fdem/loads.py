@@ -105,27 +105,29 @@ class Couple(Load):
 
     Parameters
     ----------
-    parts : list of (gp (n,), weights (n,), moment (3,), massive)
-        Gridpoints of each block, their weights, the moment [N m] in global axes, and what the forces are: those that
-        a rotation takes to accelerate masses, ``w theta x r``; or, not massive, ``T x (W^-1 w r) / 2`` with
-        ``W = sum w r r^T``, whose ``sum f r^T`` is antisymmetric: a block that moves as a whole turns and does not strain.
+    parts : list of (gp (n,), weights, moment (3,))
+        Gridpoints of each block, the moment [N m] in global axes, and masses (n,) of gridpoints, whose forces are those
+        that a rotation takes, ``m theta x r``; or weights W (n, 3) that give the block's deformation gradient,
+        ``F = x^T W``: then forces ``A W`` with ``A F^T = [T]x / 2``, which turn a block that moves as a whole and do
+        not strain it.
     """
 
-    def __init__(self, handle: Any, parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]) -> None:
+    def __init__(self, handle: Any, parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
         super().__init__(handle, np.concatenate([gp for gp, *_ in parts]))
         self.parts = parts
 
     def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
         """Forces (n, 3) [N] on the gridpoints."""
         forces = []
-        for gp, weight, moment, massive in self.parts:
-            arm = x[gp] - weight @ x[gp] / weight.sum()
-            second = np.einsum("n,ni,nj->ij", weight, arm, arm)
-            if massive:
+        for gp, weight, moment in self.parts:
+            if weight.ndim == 1:
+                arm = x[gp] - weight @ x[gp] / weight.sum()
+                second = np.einsum("n,ni,nj->ij", weight, arm, arm)
                 spin = np.linalg.solve(np.trace(second) * np.eye(3) - second, moment)
                 forces.append(weight[:, None] * np.cross(spin, arm))
             else:
-                forces.append(0.5 * np.cross(moment, weight[:, None] * arm @ np.linalg.pinv(second)))
+                turned = weight @ np.linalg.pinv(x[gp].T @ weight)  # W F^-1
+                forces.append(0.5 * np.cross(moment, turned))
         return np.vstack(forces)
 
 

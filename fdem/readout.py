@@ -57,11 +57,18 @@ class Readout:
 
     def positions(self) -> np.ndarray:
         """Gridpoint positions (n_gp, 3) [m]."""
-        return self.state.x + self.model.origin
+        return self.places() + self.model.origin
+
+    def places(self) -> np.ndarray:
+        """Places (n_gp, 3) [m] of gridpoints as material points, relative to the model's origin."""
+        x = self.state.x.copy()
+        for batch in self.model.batches:
+            batch.show(self.state.q, x)
+        return x
 
     def displacements(self) -> np.ndarray:
         """Gridpoint displacements (n_gp, 3) [m] since the start or the last reset."""
-        return self.state.x - self.x0
+        return self.places() - self.x0
 
     def pushed(self, v: np.ndarray) -> np.ndarray:
         """Gridpoint values (n_gp, 3) of generalised velocities or accelerations."""
@@ -147,16 +154,18 @@ class Readout:
         return result
 
     def contact_table(self) -> dict[str, Any]:
-        """Contact points: blocks, joint, normal, gap, area, traction, force, slip, state, position."""
+        """Contact points: blocks, joint, normal, gap, area, traction, force, slip, state, failure, position."""
         contacts, particles = self.system.contacts, self.system.particles
         self.forces()
-        table: dict[str, Any] = {name: np.zeros(0, dtype=np.int32) for name in ("block_a", "block_b", "joint", "state")}
+        names = ("block_a", "block_b", "joint", "state", "failure")
+        table: dict[str, Any] = {name: np.zeros(0, dtype=np.int32) for name in names}
         table |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
         table |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
         if contacts is not None:
             table = dict(contacts.table(self.state.x))
         if particles is not None:
             own = sphere_table(particles)
+            own["failure"] = np.zeros(len(own["joint"]), dtype=np.int32)
             table = {name: np.concatenate([table[name], own[name]]) if name in own else table[name] for name in table}
         table["position"] = table["position"] + self.model.origin
         table["joint_names"] = self.model.joint_names

@@ -141,7 +141,7 @@ class BlockView:
     @property
     def gridpoints(self) -> np.ndarray:
         """Positions (n, 3) of the gridpoints [m]."""
-        return self._gridpoints(self._sim.state.x + self._sim.model.origin)
+        return self._gridpoints(self._sim.positions())
 
     @property
     def gridpoint_displacement(self) -> np.ndarray:
@@ -251,7 +251,7 @@ class GridpointView:
     @property
     def position(self) -> np.ndarray:
         """Position (3,) [m]."""
-        return _readonly(self._sim.state.x[self.gridpoint] + self._sim.model.origin)
+        return _readonly(self._sim.positions()[self.gridpoint])
 
     @property
     def displacement(self) -> np.ndarray:

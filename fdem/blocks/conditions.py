@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from fdem.blocks.fields import FieldBlocks
 
-__all__ = ["driven_rows", "fixed_rows"]
+__all__ = ["driven_rows", "dual", "fixed_rows", "shared_forces", "weights_of"]
 
 Array = np.ndarray
 
@@ -49,9 +49,38 @@ def _turning(blocks: FieldBlocks, row: int) -> Array:
 
 def _at_points(blocks: FieldBlocks, gridpoints: Any, direction: Array) -> Array:
     """Rows (n, width): the velocity along `direction` (3,) of gridpoints (n,) of one block."""
-    phi = blocks.phi[np.asarray(gridpoints) - blocks.gridpoints.start]
+    phi = blocks.material[np.asarray(gridpoints) - blocks.gridpoints.start]
     parts = [np.asarray(direction)[d] * phi for d in range(3)]
     return np.hstack([np.tile(direction, (len(phi), 1)), *parts])
+
+
+def _least(blocks: FieldBlocks, row: int, wanted: Array) -> Array:
+    """Least values (n, m) at the gridpoints of a block whose sums with 1 and its functions are `wanted` (1 + k, m)."""
+    start, stop = blocks._start[row : row + 2]
+    phi = blocks.phi[start:stop]
+    scale = np.concatenate([[1.0], np.abs(phi).max(axis=0)])
+    basis = np.hstack([np.ones((len(phi), 1)), phi]) / scale
+    return np.linalg.lstsq(basis.T, wanted / scale[:, None], rcond=None)[0]
+
+
+def weights_of(blocks: FieldBlocks, row: int, value: Array) -> tuple[Array, Array]:
+    """Gridpoints (n,) and least weights (n,) that sum to 1 and give the functions of a block a `value` (k,)."""
+    own = np.arange(*blocks._start[row : row + 2]) + blocks.gridpoints.start
+    return own, _least(blocks, row, np.concatenate([[1.0], value])[:, None])[:, 0]
+
+
+def shared_forces(blocks: FieldBlocks, row: int, places: Array, forces: Array) -> tuple[Array, Array]:
+    """Gridpoints (n,) and forces (n, 3) on them that do what `forces` (m, 3) at `places` (m, 3) of one block do."""
+    phi = blocks.functions(places - blocks.centre0[row], np.full(len(places), row))
+    wanted = np.vstack([forces.sum(axis=0), phi.T @ forces])
+    return np.arange(*blocks._start[row : row + 2]) + blocks.gridpoints.start, _least(blocks, row, wanted)
+
+
+def dual(blocks: FieldBlocks, row: int) -> Array:
+    """Weights (n, 3) of gridpoints of one block whose sums give F: 1 on one linear function, 0 on all others."""
+    wanted = np.zeros((1 + blocks.k, 3))
+    wanted[[1, 2, 3], [0, 1, 2]] = 1.0
+    return _least(blocks, row, wanted)
 
 
 def _compressed(rows: Array) -> Array:
@@ -133,7 +162,7 @@ def driven_rows(
 
 def _fitted(blocks: FieldBlocks, gridpoints: Any, axis: int, values: Array) -> Array:
     """Unknowns (width,) of one block whose motion along `axis` is nearest to `values` (n,) at its gridpoints (n,)."""
-    phi = blocks.phi[np.asarray(gridpoints) - blocks.gridpoints.start]
+    phi = blocks.material[np.asarray(gridpoints) - blocks.gridpoints.start]
     scale = np.maximum(np.abs(phi).max(axis=0), np.finfo(float).tiny)
     basis = np.hstack([np.ones((len(phi), 1)), phi / scale])
     coefficients = np.linalg.lstsq(basis, values, rcond=None)[0]

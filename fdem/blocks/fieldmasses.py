@@ -16,8 +16,10 @@ if TYPE_CHECKING:
 __all__ = [
     "GRADIENTS",
     "axial",
+    "confined",
     "cross",
     "fictitious",
+    "free_modes",
     "inner",
     "inverse",
     "largest",
@@ -29,9 +31,7 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-# fictitious mass of motions that no strain and no joint resists, over what the joints of a block would give it
-LOOSE = 0.1
-# the same over the strains of a block, where no joint is near
+# fictitious mass of motions that nothing resists, over that of the strains of a block, where no joint is near
 FREE = 0.05
 
 
@@ -55,11 +55,12 @@ def axial(tensors: Array) -> Array:
     return np.einsum("njk,ijk->ni", tensors, GRADIENTS[:3])
 
 
-def inverse(matrices: Array) -> Array:
-    """Inverses of symmetric positive matrices (n, m, m), scaled first by powers of two to a diagonal near 1."""
-    scale = np.exp2(-np.round(0.5 * np.log2(np.diagonal(matrices, axis1=1, axis2=2))))
+def inverse(moments: Array, mass: Array) -> Array:
+    """Inverses of moments (n, k, k) of mass, taken over the masses (n,) and scaled by powers of two to near 1."""
+    mass = mass[:, None, None]
+    scale = np.exp2(-np.round(0.5 * np.log2(np.diagonal(moments / mass, axis1=1, axis2=2))))
     both = scale[:, :, None] * scale[:, None, :]
-    result = np.linalg.inv(matrices * both) * both
+    result = np.linalg.inv(moments / mass * both) * both / mass
     return np.ascontiguousarray(0.5 * (result + np.swapaxes(result, 1, 2)))
 
 
@@ -103,20 +104,26 @@ def spread(blocks: FieldBlocks, k_gp: Array) -> Array:
 
 
 def _root(blocks: FieldBlocks) -> Array:
-    """Matrices L^-1 (n_blocks, width, width) of the Cholesky factors of the mass matrices."""
+    """Matrices L^-1 (n_blocks, width, width) of the Cholesky factors of the mass matrices over the masses [1, 1/m].
+
+    Over the masses, so that numbers in other units of length, time and mass have the same bits.
+    """
     root = np.zeros((blocks.n_blocks, blocks.width, blocks.width))
-    lower = np.linalg.inv(np.linalg.cholesky(blocks.moments))
+    lower = np.linalg.inv(np.linalg.cholesky(blocks.moments / blocks.mass[:, None, None]))
     for d in range(3):
-        root[:, d, d] = 1.0 / np.sqrt(blocks.mass)
+        root[:, d, d] = 1.0
         part = slice(3 + d * blocks.k, 3 + (d + 1) * blocks.k)
         root[:, part, part] = lower
     return root
 
 
+def _reduced(blocks: FieldBlocks, root: Array, stiffness: Array) -> Array:
+    return root @ (stiffness / blocks.mass[:, None, None]) @ np.swapaxes(root, 1, 2)
+
+
 def largest(blocks: FieldBlocks, stiffness: Array) -> Array:
     """Largest eigenvalues (n_blocks,) of ``M^-1 K`` for K (n_blocks, width, width) [1/s^2]."""
-    root = _root(blocks)
-    return np.maximum(np.linalg.eigvalsh(root @ stiffness @ np.swapaxes(root, 1, 2))[:, -1], 0.0)
+    return np.maximum(np.linalg.eigvalsh(_reduced(blocks, _root(blocks), stiffness))[:, -1], 0.0)
 
 
 def inner(blocks: FieldBlocks, q: Array) -> Array:
@@ -127,31 +134,57 @@ def inner(blocks: FieldBlocks, q: Array) -> Array:
 
 
 def fictitious(blocks: FieldBlocks, q: Array, springs: Springs, swing: float) -> Array:
-    """Fictitious mass matrices and their inverses (2, n_blocks, width, width), in the frames of the blocks.
+    """Fictitious masses, their inverses, modes and mass times modes (4, n_blocks, width, width), in the blocks' frames.
 
-    The matrix is the stiffness of the block, strains and joints together: all its motions then take the same time,
-    however stiff the rock and however soft the joints. What neither resists gets a share of the true mass. `swing` is
+    The mass is the stiffness of the block, strains and joints together, so that stiff rock on soft joints takes no
+    longer; motions that are softer than the stiffest of the joints get the mass a rigid block would have. `swing` is
     the largest factor by which damping stiffens springs.
     """
     joints = outer(blocks, springs)
     held = largest(blocks, joints)
     strains = 2.0 * blocks.mu * blocks.volume / np.linalg.eigvalsh(blocks.moments)[:, -1]
-    loose = np.where(held > 0.0, LOOSE * held, springs.kn * blocks.size**2 / blocks.mass)
+    loose = np.where(held > 0.0, held, springs.kn * blocks.size**2 / blocks.mass)
     loose = np.where(loose > 0.0, loose, FREE * strains)
     turn, root = turns(blocks, q), _root(blocks)
     # mass and placement do not turn with the block, its strains do
     stiffness = np.swapaxes(turn, 1, 2) @ (inner(blocks, q) + joints) @ turn
-    squares, modes = np.linalg.eigh(root @ stiffness @ np.swapaxes(root, 1, 2))
+    squares, vectors = np.linalg.eigh(_reduced(blocks, root, stiffness))
     # compression takes stiffness away: its size counts, for a mass must be positive
-    squares = swing * (np.abs(squares) + loose[:, None])
-    back = np.swapaxes(root, 1, 2) @ modes
-    forth = masses(blocks) @ back
-    return np.stack(
-        [
-            (forth * squares[:, None, :]) @ np.swapaxes(forth, 1, 2),
-            (back / squares[:, None, :]) @ np.swapaxes(back, 1, 2),
-        ]
-    )
+    squares = swing * np.maximum(np.abs(squares), loose[:, None])
+    modes, mass = np.swapaxes(root, 1, 2) @ vectors, blocks.mass[:, None, None]
+    carried = masses(blocks) @ modes
+    frame = (carried * squares[:, None, :]) @ np.swapaxes(carried, 1, 2) / mass
+    return np.stack([frame, (modes / squares[:, None, :]) @ np.swapaxes(modes, 1, 2) / mass, modes, carried])
+
+
+def free_modes(blocks: FieldBlocks, q: Array) -> Array:
+    """Modes and mass times modes (2, n_blocks, width, width) of blocks on their own at the start.
+
+    Translations and rotations first, each by itself, then the modes of strain.
+    """
+    mass, root = masses(blocks), _root(blocks)
+    rigid = np.stack([blocks.theory(row, q)[:, :6] for row in range(blocks.n_blocks)])
+    # rotations about the principal axes do not mix
+    turning = np.swapaxes(rigid[:, :, 3:], 1, 2) @ (mass @ rigid[:, :, 3:]) / mass[:, :1, :1]
+    rigid[:, :, 3:] = rigid[:, :, 3:] @ np.linalg.eigh(turning)[1]
+    vectors = np.linalg.eigh(_reduced(blocks, root, inner(blocks, q)))[1]
+    modes = np.swapaxes(root, 1, 2) @ vectors
+    modes[:, :, :6] = rigid
+    return np.stack([modes, mass @ modes])
+
+
+def confined(stiffness: Array, mass: Array, rows: Array) -> Array:
+    """Modes and mass times modes (2, width, width) of one block whose motions v obey ``rows v = 0``; rest zeros."""
+    lower = np.linalg.inv(np.linalg.cholesky(mass / mass[0, 0]))
+    _, size, right = np.linalg.svd(rows @ lower.T)
+    basis = right[int((size > 1e-9 * size[0]).sum()) :]
+    own = basis @ lower
+    result = np.zeros((2, *mass.shape))
+    if len(own):
+        vectors = np.linalg.eigh(own @ stiffness @ own.T)[1]
+        result[0, :, : len(own)] = own.T @ vectors
+        result[1] = mass @ result[0]
+    return result
 
 
 def turns(blocks: FieldBlocks, q: Array) -> Array:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fdem.blocks import fieldmasses
+from fdem.blocks import entries, fieldmasses
 from fdem.blocks.bounds import Springs, share
 from fdem.errors import SceneError
 from fdem.kernels import fields as kernels
@@ -49,8 +49,8 @@ class FieldBlocks:
         Functions of place: 3 for uniform, 9 for linear strain.
     width : int
         Unknowns of a block, ``3 + 3 k``: centre, then the rows x, y, z of the coefficients.
-    phi : (n, k) array
-        Functions at the batch's gridpoints [m, m^2].
+    phi, material : (n, k) array
+        Functions at the batch's gridpoints [m, m^2], as contact sees them and of the material points they are.
     centre0 : (n_blocks, 3) array
         Centres of mass at the start [m].
     has_internal, in_place, turns, has_strain : bool
@@ -101,9 +101,10 @@ class FieldBlocks:
         self.centre0 = np.array(centre, dtype=np.float64, order="C")
         self._start = np.ascontiguousarray(np.asarray(gp_start) - gridpoints.start, dtype=np.int32)
         self._owner = np.repeat(np.arange(self.n_blocks), np.diff(self._start))
-        self.phi = self.functions(self._X - self.centre0[self._owner], self._owner)
-        self._inverse = fieldmasses.inverse(self.moments)
+        self.phi = self.material = self.functions(self._X - self.centre0[self._owner], self._owner)
+        self._inverse = fieldmasses.inverse(self.moments, self.mass)
         self._turned = np.zeros((self.n_blocks, 3))  # by the last step
+        self._modes: Any = None  # of local damping with the true masses, made when asked for
         self.stress0 = np.zeros((0, 6))
         self.rows = np.arange(self.n_blocks)
         self.size = np.cbrt(self.volume)
@@ -134,6 +135,11 @@ class FieldBlocks:
     def place(self, q: Array, x: Array) -> None:
         """Write the positions of the batch's gridpoints into `x` [m]."""
         kernels.place(self._q(q), self._X, self.centre0, self.phi, self._start, x[self.gridpoints])
+
+    def show(self, q: Array, x: Array) -> None:
+        """Write where the material points of the batch's gridpoints are into `x` [m]."""
+        if self.material is not self.phi:
+            kernels.place(self._q(q), self._X, self.centre0, self.material, self._start, x[self.gridpoints])
 
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write the gridpoint velocities ``P v`` into `xdot` [m/s]."""
@@ -181,9 +187,28 @@ class FieldBlocks:
         else:
             kernels.relax(self._q(q), self._v(f), scaled[1], self._v(a))
 
-    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
-        """Write local damping into `out`: a share of the force against every motion of the theory."""
-        kernels.resist(self._q(q), self._v(f), self._v(v), share, self._v(out))
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array, scaled: Array | None = None) -> None:
+        """Write local damping into `out`: a share of the force of every mode, against its rate."""
+        if scaled is None and self._modes is None:
+            self._set_modes()
+        modes = self._modes if scaled is None else scaled[2:]
+        kernels.resist(self._q(q), self._v(f), self._v(v), share, *modes, self._v(out))
+
+    def _set_modes(self) -> None:
+        start = np.zeros(self.coords.stop)
+        self.start(start)
+        self._modes = fieldmasses.free_modes(self, start)
+
+    def confine(self, row: int, q: Array, rows: Array, springs: Springs, scaled: Array | None) -> None:
+        """Let the modes of one block obey the conditions ``rows v = 0`` on its unknowns."""
+        stiffness, turn = fieldmasses.inner(self, q)[row], fieldmasses.turns(self, q)[row]
+        if scaled is None:
+            if self._modes is None:
+                self._set_modes()
+            modes = self._modes
+        else:
+            stiffness, modes = stiffness + fieldmasses.outer(self, springs)[row], scaled[2:]
+        modes[:, row] = fieldmasses.confined(turn.T @ stiffness @ turn, self.masses()[row], rows @ turn)
 
     def kinetic(self, q: Array, v: Array) -> float:
         """Kinetic energy [J]."""
@@ -210,7 +235,7 @@ class FieldBlocks:
         return float(fieldmasses.largest(self, fieldmasses.spread(self, c_gp))[self.free].max(initial=0.0))
 
     def scaled_masses(self, q: Array, springs: Springs, swing: float) -> Array:
-        """Fictitious mass matrices and their inverses (2, n_blocks, width, width); see `fieldmasses.fictitious`."""
+        """Fictitious masses, inverses and modes (4, n_blocks, width, width); see `fieldmasses.fictitious`."""
         return fieldmasses.fictitious(self, q, springs, swing)
 
     def scaled_kinetic(self, q: Array, v: Array, scaled: Array) -> float:
@@ -221,7 +246,10 @@ class FieldBlocks:
     def inverse_mass(self, row: int, q: Array, scaled: Array | None) -> Array:
         """Inverse mass matrix (width, width) of one block, true or fictitious."""
         if scaled is None:
-            return fieldmasses.inverse(self.masses()[row : row + 1])[0]
+            result = np.kron(np.eye(3), self._inverse[row])
+            return np.block(
+                [[np.eye(3) / self.mass[row], np.zeros((3, 3 * self.k))], [np.zeros((3 * self.k, 3)), result]]
+            )
         turn = fieldmasses.turns(self, q)[row]
         return turn @ scaled[1, row] @ turn.T
 
@@ -230,13 +258,19 @@ class FieldBlocks:
     ) -> float:
         """Largest unbalanced force, or moment over the block size, over the largest force acting on a block.
 
-        The forces on coefficients count as forces over the block size (quadratic functions: over its square).
+        The forces on coefficients count as forces over the block size (quadratic functions: over its square). Unknowns
+        end at their last bits, and so forces: that much is not counted when masses, and so stiffness, are known.
         """
         if not self.free.any():
             return 0.0
         inner = np.zeros(len(unbalanced))
         self.internal(q, x, inner)
-        left, strained = (self._sizes(f).max(axis=1) for f in (unbalanced, inner))
+        left, strained = self._sizes(unbalanced), self._sizes(inner).max(axis=1)
+        if scaled is not None:
+            noise = np.zeros(len(unbalanced))
+            self._v(noise)[:] = np.einsum("nij,nj->ni", np.abs(scaled[0]), np.abs(self._q(q)))
+            left -= 8 * np.finfo(float).eps * self._sizes(noise)
+        left = np.maximum(left, 0.0).max(axis=1)
         pushed = np.add.reduceat(pushes[self.gridpoints], self._start[:-1])
         acting = np.maximum(np.maximum(pushed, strained), self.mass * gravity)
         return share(float(left[self.free].max()), float(acting[self.free].max()))
@@ -336,6 +370,21 @@ class FieldBlocks:
         """The theory's u (12,): translation [m], accumulated rotation [rad], strain; linear strain: (30,)."""
         rest = self._rows(self._q(q))[row, :, 3:].ravel()
         return np.concatenate([moved, turned, self.strains(q, displacement)[row], rest])
+
+    # for implicit methods
+
+    def mass_entries(self, q: Array) -> entries.Entries:
+        """Mass matrix, constant."""
+        return entries.of_blocks(self.dofs.start + self.width * np.arange(self.n_blocks), self.masses())
+
+    def tangent(self, q: Array, x: Array) -> entries.Entries:
+        """Derivative of the internal forces by the unknowns."""
+        first = self.dofs.start + self.width * np.arange(self.n_blocks) + 3
+        return entries.of_blocks(first, self.stiffness(q))
+
+    def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
+        """Nothing: the placement is constant."""
+        return entries.nothing()
 
     # views of the flat arrays
 

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from fdem.blocks.bounds import Springs
+from fdem.blocks.entries import Entries
 
 __all__ = ["Blocks"]
 
@@ -51,6 +52,9 @@ class Blocks(Protocol):
     def place(self, q: np.ndarray, x: np.ndarray) -> None:
         """Write the gridpoint positions of configuration `q` into `x` [m]."""
 
+    def show(self, q: np.ndarray, x: np.ndarray) -> None:
+        """Write the places of material points where contact sees gridpoints a little off them."""
+
     def push(self, q: np.ndarray, v: np.ndarray, xdot: np.ndarray) -> None:
         """Write gridpoint velocities ``P(q) v`` into `xdot` [m/s]."""
 
@@ -69,7 +73,9 @@ class Blocks(Protocol):
     def advance(self, q: np.ndarray, v: np.ndarray, dt: float, scaled: Any = None) -> None:
         """Move `q` by `dt` [s] at fixed momentum, updating `v` where the inertia rotates."""
 
-    def resist(self, q: np.ndarray, f: np.ndarray, v: np.ndarray, share: float, out: np.ndarray) -> None:
+    def resist(
+        self, q: np.ndarray, f: np.ndarray, v: np.ndarray, share: float, out: np.ndarray, scaled: Any = None
+    ) -> None:
         """Write forces that resist the motion `v`, a `share` of the forces `f` by components, into `out`."""
 
     def kinetic(self, q: np.ndarray, v: np.ndarray) -> float:
@@ -143,3 +149,14 @@ class Blocks(Protocol):
 
     def mass_of(self, row: int, q: np.ndarray) -> np.ndarray:
         """Mass matrix of the unknowns of one block."""
+
+    # for implicit methods: entries (rows, columns, values) of sparse matrices of the whole model's unknowns
+
+    def mass_entries(self, q: np.ndarray) -> Entries:
+        """Mass matrix ``M(q)``."""
+
+    def tangent(self, q: np.ndarray, x: np.ndarray) -> Entries:
+        """Derivative of the internal forces by the unknowns: what `internal` subtracts grows by ``K dq``."""
+
+    def geometric(self, q: np.ndarray, f_gp: np.ndarray) -> Entries:
+        """Derivative ``(dP^T/dq) f_gp`` of `pull` at constant gridpoint forces; not symmetric in general."""

@@ -16,6 +16,7 @@ __all__ = [
     "angular_momentum",
     "arms",
     "centres",
+    "frames",
     "inertia",
     "mass_matrix",
     "motion",
@@ -34,6 +35,11 @@ def polar(F: Array) -> Array:
     R = np.empty_like(F)
     corotated.polar_rotations(F, R)
     return R
+
+
+def frames(blocks: ZonedBlocks, x: Array) -> Array:
+    """Rotations (m, 3, 3) of the zones: of the zone itself, or of its block's frame where strain is small."""
+    return _strained(blocks, x)[1]
 
 
 def _strained(blocks: ZonedBlocks, x: Array) -> tuple[Array, Array, Array]:

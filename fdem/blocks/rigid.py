@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from fdem.blocks import entries
 from fdem.blocks.bounds import Springs, joint_stiffness, share
 from fdem.errors import SceneError
 from fdem.kernels import blocks as kernels
@@ -99,6 +100,9 @@ class RigidBlocks:
         """Write the positions ``X + (c - C) + (R - 1)(X - C)`` of the batch's gridpoints into ``x`` [m]."""
         kernels.rigid_place(self._q(q), self._X, self.centre0, self._start, x[self.gridpoints])
 
+    def show(self, q: Array, x: Array) -> None:
+        """Nothing: gridpoints are material points."""
+
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write the gridpoint velocities ``v + omega x r`` into ``xdot`` [m/s]."""
         kernels.rigid_push(self._q(q), self._v(v), self._X, self.centre0, self._start, xdot[self.gridpoints])
@@ -150,7 +154,7 @@ class RigidBlocks:
         """
         kernels.rigid_advance(self._q(q), self._v(v), dt, self.moments, self.axes)
 
-    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array, scaled: Array | None = None) -> None:
         """Write local damping into `out`: a share of the force against every unknown's velocity."""
         out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
 
@@ -372,6 +376,32 @@ class RigidBlocks:
         matrix[:, diagonal, diagonal] = self.mass[:, None]
         matrix[:, 3:, 3:] = self.inertia(q)
         return matrix
+
+    # for implicit methods
+
+    def mass_entries(self, q: Array) -> entries.Entries:
+        """Mass matrix at the configuration `q`."""
+        return entries.of_blocks(self.dofs.start + 6 * np.arange(self.n_blocks), self.generalised_mass(q))
+
+    def tangent(self, q: Array, x: Array) -> entries.Entries:
+        """Nothing: there are no internal forces."""
+        return entries.nothing()
+
+    def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
+        """``(dP^T/dq) f_gp``: moments about the centroid change as arms turn, ``sum [f]x [r]x`` by rotation.
+
+        Parameters
+        ----------
+        q : (n_q,) array
+            Configuration.
+        f_gp : (n_gp, 3) array
+            Forces on gridpoints [N].
+        """
+        arm = np.einsum("nij,nj->ni", np.repeat(self.rotation(q), np.diff(self._start), axis=0), self._arms())
+        force = f_gp[self.gridpoints]
+        # [f]x [r]x = r f^T - (f.r) 1
+        turned = arm[:, :, None] * force[:, None, :] - np.sum(arm * force, axis=1)[:, None, None] * np.eye(3)
+        return entries.of_blocks(self.dofs.start + 6 * np.arange(self.n_blocks) + 3, self._sum(turned))
 
     def _q(self, q: Array) -> Array:
         return q[self.coords].reshape(self.n_blocks, 7)

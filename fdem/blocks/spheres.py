@@ -73,6 +73,9 @@ class SphereBlocks:
         """Write the centres into ``x`` [m]."""
         x[self.gridpoints] = self._q(q)
 
+    def show(self, q: Array, x: Array) -> None:
+        """Nothing: a centre is a material point."""
+
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write the velocities of the centres into ``xdot`` [m/s]."""
         xdot[self.gridpoints] = self._v(v)[:, :3]
@@ -96,7 +99,7 @@ class SphereBlocks:
         """Move the centres by ``dt`` [s]; angular velocities are momenta and stay."""
         kernels.ball_advance(self._q(q), self._v(v), dt)
 
-    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array, scaled: Array | None = None) -> None:
         """Write local damping into `out`: a share of the force against every unknown's velocity."""
         out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
 

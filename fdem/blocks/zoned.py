@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fdem.blocks import recovery
+from fdem.blocks import entries, recovery
 from fdem.blocks.assembly import coupling_norms, elastic_stiffness
 from fdem.blocks.bounds import Springs, share
 from fdem.blocks.masses import InertiaCorrection, block_moments, lumped_moments, row_sum_masses, voronoi_masses
@@ -179,7 +179,7 @@ class ZonedBlocks:
 
     def launch(self, q: Array, x: Array, v: Array, velocity: Array, spin: Array) -> None:
         """Write velocities of rigid motion about the centres of the gridpoint masses into `v`."""
-        arm, owner = recovery.arms(self, self.X)
+        arm, owner = recovery.arms(self, x[self.gridpoints])
         v[self.dofs] = (velocity[owner] + np.cross(spin[owner], arm)).ravel()
 
     def place(self, q: Array, x: Array) -> None:
@@ -187,6 +187,9 @@ class ZonedBlocks:
         target, source = x[self.gridpoints], q[self.coords]
         if not np.may_share_memory(target, source):
             target[:] = source.reshape(-1, 3)
+
+    def show(self, q: Array, x: Array) -> None:
+        """Nothing: gridpoints are material points."""
 
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write velocities of gridpoints (n_gp, 3) [m/s]."""
@@ -232,7 +235,7 @@ class ZonedBlocks:
 
     # energies
 
-    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array, scaled: Array | None = None) -> None:
         """Write a `share` of every force, against the velocity, into `out`."""
         out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
 
@@ -255,36 +258,18 @@ class ZonedBlocks:
     def _couple(self) -> tuple[Array, Array, Array, Array]:
         """Norms of the stiffness blocks at the reference configuration, as a sparse symmetric pattern."""
         if self._coupling is None:
-            self._coupling = coupling_norms(
-                self._nodes,
-                self.gradients,
-                self.zone_volume,
-                self.lam[self.zone_block],
-                self.mu[self.zone_block],
-                self.X.shape[0],
-            )
+            lam, mu = self.lam[self.zone_block], self.mu[self.zone_block]
+            n = self.X.shape[0]
+            self._coupling = coupling_norms(self._nodes, self.gradients, self.zone_volume, lam, mu, n)
         return self._coupling
 
     def frequency_bound(self, q: Array, x: Array, k_gp: Array) -> Array:
         """Upper bounds of omega^2 per block (n_blocks,) [1/s^2], contact stiffness k_gp (n_gp,) [N/m] included."""
-        row_start, column, value, diagonal = self._couple()
-        n = self.X.shape[0]
+        n, pattern = self.X.shape[0], self._couple()
         bound, worst = np.empty(self.n_blocks), np.empty(self.n_blocks, dtype=np.int64)
         k_local = np.ascontiguousarray(k_gp[self.gridpoints], dtype=np.float64)
-        stiffness.perron_bounds(
-            row_start,
-            column,
-            value,
-            diagonal,
-            self.gp_mass,
-            k_local,
-            self._start,
-            _SWEEPS,
-            np.empty(n),
-            np.empty(n),
-            bound,
-            worst,
-        )
+        room = np.empty(n), np.empty(n)
+        stiffness.perron_bounds(*pattern, self.gp_mass, k_local, self._start, _SWEEPS, *room, bound, worst)
         self.limiting_gridpoint = worst + self.gridpoints.start
         if self._correction is not None:
             b = self._matched
@@ -435,6 +420,20 @@ class ZonedBlocks:
             if isinstance(term, SmallStrain):
                 term.local_range(x[self.gridpoints], self.deformation(x), strain, rotation)
         return strain, rotation
+
+    # for implicit methods
+
+    def mass_entries(self, q: Array) -> entries.Entries:
+        """Mass matrix."""
+        return entries.zone_mass(self)
+
+    def tangent(self, q: Array, x: Array) -> entries.Entries:
+        """Derivative of the internal forces by the unknowns."""
+        return entries.zone_tangent(self, x)
+
+    def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
+        """Nothing: the placement is constant."""
+        return entries.nothing()
 
     def stiffness(self) -> Any:
         """Return K (3n, 3n), scipy CSR, of linear elasticity at the reference configuration, from scikit-fem [N/m]."""

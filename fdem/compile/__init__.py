@@ -23,6 +23,7 @@ from fdem.constraints import Constraints
 from fdem.loads import Load
 from fdem.model import Model
 from fdem.scene.boundary import Stress
+from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Scene
 from fdem.scene.shapes import Surface
 from fdem.state import State
@@ -64,7 +65,9 @@ class Compiled:
     drags: list[tuple[Applied, np.ndarray]]
 
 
-def compile_scene(scene: Scene, removed: frozenset[str], loads: list[Applied], threads: int) -> Compiled:
+def compile_scene(
+    scene: Scene, removed: frozenset[str], loads: list[Applied], threads: int, before: Kept | None = None
+) -> Compiled:
     """Resolve a scene into arrays, formulations, contacts, loads and constraints.
 
     Parameters
@@ -77,13 +80,15 @@ def compile_scene(scene: Scene, removed: frozenset[str], loads: list[Applied], t
         The scene's loads and those applied to the simulation.
     threads : int
         Threads of the zone kernels.
+    before : Kept, optional
+        Origin and zones that stay, because a state is to go on.
 
     Raises
     ------
     SceneError, JointError, MeshError
         If the scene is wrong; the message names block, field and value.
     """
-    layout = lay_out(scene, removed, loads)
+    layout = lay_out(scene, removed, loads, before)
     model, state = assemble(layout, threads)
     select = Selector(layout, model)
     numeric, alpha, drags = compile_loads(select)
@@ -129,18 +134,18 @@ def _surfaces(layout: Layout, model: Model) -> list[Any]:
             surfaces.append(none)
             continue
         start, stop = (int(k) for k in model.gp_range[i])
-        deformable = kind == "zoned"
+        mesh = layout.meshes[i]
         shape = layout.blocks[i].shape
         surfaces.append(
             BlockSurface(
                 loops=[np.asarray(loop, dtype=np.int32) + np.int32(start) for loop in layout.loops[i]],
                 tags=np.array([-1 if tag is None else number[tag] for tag in layout.loop_tags[i]], dtype=np.int32),
-                affine=not deformable,
+                affine=mesh is None,
                 gp=(start, stop),
                 fixed=bool(model.fixed[i]),
                 volume=0.0 if isinstance(shape, Surface) else float(model.volume[i]),
                 mass=np.inf if model.fixed[i] else float(model.mass[i]),
-                behind=_behind(layout.meshes[i]) + start if deformable else None,
+                behind=None if mesh is None else (_behind if kind == "zoned" else _opposite)(mesh) + start,
             )
         )
     return surfaces
@@ -148,20 +153,22 @@ def _surfaces(layout: Layout, model: Model) -> list[Any]:
 
 def _face_contacts(layout: Layout, model: Model, state: State, surfaces: list[Any], tables: JointTables) -> Any:
     """The contact layer of blocks with faces."""
-    from fdem.contact.contacts import Contacts, LawTable
+    from fdem.contact.contacts import Contacts
+    from fdem.contact.table import whole_points
 
     contacts = Contacts(
         surfaces,
         state.x,
         gp_mass=model.gp_mass,
-        laws=[LawTable(kernel, np.array(rows)) for kernel, rows in zip(tables.kernels, tables.rows, strict=True)],
+        laws=tables.tables(),
+        numerical=tables.numerical,
         assign=tables.assign,
         gap_tolerance=layout.scene.gap_tolerance,
         names=model.names,
     )
     if any(isinstance(applied.load, Stress) for applied in layout.loads):
         owner = np.repeat(contacts.slave[contacts.patches.pair], 3)
-        stress = in_situ(layout, contacts.points(state.x) + model.origin, owner)
+        stress = in_situ(layout, whole_points(contacts.patches, state.x) + model.origin, owner)
         assert stress is not None
         contacts.preload(state.x, stress)
     return contacts
@@ -177,6 +184,14 @@ def _behind(mesh: Any) -> np.ndarray:
     wanted = np.sort(np.asarray(mesh.triangles), axis=1).astype(np.int64)
     found = order[np.searchsorted(keys[order], (wanted[:, 0] * n + wanted[:, 1]) * n + wanted[:, 2])]
     return tets[found % len(tets), found // len(tets)].astype(np.int32)
+
+
+def _opposite(mesh: Any) -> np.ndarray:
+    """For every facet of a block without zones the gridpoint farthest behind it."""
+    corners = mesh.points[mesh.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    depth = np.einsum("ti,ti->t", normal, corners[:, 0])[:, None] - normal @ mesh.points.T
+    return np.argmax(depth, axis=1).astype(np.int32)
 
 
 def _describe(layout: Layout, model: Model, contacts: Any, loads: list[Load]) -> None:

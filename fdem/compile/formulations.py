@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fdem.compile.layout import Layout, in_situ
-from fdem.scene.moments import cell_densities
+from fdem.scene.moments import cell_densities, quadrature
 
 __all__ = ["FORMULATIONS", "Formulation", "Share"]
 
@@ -149,6 +149,46 @@ def _uniform(share: Share) -> Any:
     return batch
 
 
+def _linear(share: Share) -> Any:
+    from fdem.blocks.linear import LinearBlocks, fairing, function_moments, monomials
+
+    layout, lame, n = share.layout, share.lame, len(share.rows)
+    bodies = [layout.properties(i) for i in share.rows]
+    integrals, moments, stress = np.zeros((n, 10, 10)), np.zeros((n, 10, 10)), np.zeros((n, 10, 6))
+    stressed, faired = False, []
+    for row, (i, body) in enumerate(zip(share.rows, bodies, strict=True)):
+        points, weights = quadrature(layout.blocks[i].shape, 4)
+        values = monomials(points - body.centre)
+        integrals[row] = values.T @ (weights[:, None] * values)
+        if body.points is None or body.weights is None:
+            moments[row] = body.density * integrals[row]
+        else:
+            massive = monomials(body.points - body.centre)
+            moments[row] = massive.T @ (body.weights[:, None] * massive)
+        facets = layout.meshes[i]
+        faired.append(fairing(facets.points - body.centre, facets.triangles, facets.triangle_face))
+        given = in_situ(layout, points, np.full(len(points), i))
+        if given is not None:
+            stress[row], stressed = values.T @ (weights[:, None] * given), True
+    batch = LinearBlocks(
+        integrals=integrals,
+        fairing=np.vstack(faired),
+        X=share.X,
+        gp_start=share.gp_start,
+        mass=np.array([body.mass for body in bodies]),
+        moments=function_moments(moments),
+        centre=np.array([body.centre for body in bodies]) - layout.origin,
+        volume=np.array([layout.blocks[i].shape.volume for i in share.rows]),
+        lam=lame[:, 0],
+        mu=lame[:, 1],
+        dofs=share.dofs,
+        coords=share.coords,
+        gridpoints=share.gridpoints,
+    )
+    batch.set_initial_stress(stress if stressed else None)
+    return batch
+
+
 def _zoned(share: Share) -> Any:
     from fdem.blocks.zoned import ZonedBlocks
 
@@ -197,5 +237,6 @@ FORMULATIONS = (
     Formulation("rigid", "rigid or driven", 7, 6, _rigid),
     Formulation("sphere", "spheres without orientation", 3, 6, _sphere),
     Formulation("uniform", "of uniform strain", 12, 12, _uniform),
+    Formulation("linear", "of linear strain", 30, 30, _linear),
     Formulation("zoned", "zoned", 0, 0, _zoned),
 )

@@ -102,8 +102,6 @@ class SphereContacts:
             raise SceneError(str(error)) from None
         self._trial = False
 
-    # ------------------------------------------------------------------ detection
-
     def detect(self, x: Array, motion: Array | None = None) -> None:
         """Look for near pairs in the positions `x`, of spheres that moved by `motion` (n,) [m] further than usual."""
         p = self.particles

@@ -10,6 +10,7 @@ import numpy as np
 
 from fdem.blocks.bounds import Springs
 from fdem.constraints import Constraints
+from fdem.contact.wear import refuse_leaps
 from fdem.errors import UnstableError
 from fdem.loads import Bedding, Dashpot, Load, Torque
 from fdem.model import Model
@@ -27,10 +28,8 @@ class System:
     ----------
     model, state : Model, State
         What compile made.
-    contacts : Contacts or None
-        The contact layer.
-    particles : SphereContacts or None
-        Contacts with a sphere in them.
+    contacts, particles : Contacts or None, SphereContacts or None
+        The contact layer; contacts with a sphere in them.
     constraints : Constraints
         Fixed and prescribed components.
     loads : list of Load
@@ -75,6 +74,7 @@ class System:
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
         self._first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
+        self.stiffening = contacts is not None and contacts.curved  # joints whose stiffness grows as they close
         self._torques = [load for load in loads if isinstance(load, Torque)]
         self._turning = np.zeros_like(state.v) if self._torques else None
         self._turning_old = np.zeros_like(state.v) if self._torques and energy else None
@@ -83,6 +83,7 @@ class System:
         self.weight = self._weight()
         self.weigh()
         self._terms = self._choose_terms()
+        self._smallest = float(model.size[~model.fixed].min(initial=np.inf))
 
     def _choose_terms(self) -> tuple[Callable[[], None], ...]:
         """The force terms this scene needs, in order."""
@@ -146,6 +147,8 @@ class System:
 
     def accelerate(self, f: np.ndarray) -> np.ndarray:
         """Accelerations M^-1 f with the constrained part set to zero."""
+        if self.constraints.coupled:
+            f = self.constraints.carried_off(f)
         for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
             batch.accelerate(self.state.q, f, self.a, scaled)
         self.constraints.still(self.a)
@@ -154,8 +157,8 @@ class System:
     def resist(self, share: float, f: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Forces that resist the motion `v`, a `share` of the forces `f` by components (n_dofs,)."""
         result = np.empty_like(f)
-        for batch in self.model.batches:
-            batch.resist(self.state.q, f, v, share, result)
+        for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
+            batch.resist(self.state.q, f, v, share, result, scaled)
         return result
 
     def prescribe(self, dt: float) -> None:
@@ -196,17 +199,21 @@ class System:
     def advance(self, dt: float) -> None:
         """Move the configuration by `dt` [s] with the present velocities; look for contacts if due."""
         state = self.state
+        aims = [group.aim(state.q, state.v, dt) for group in self.constraints.coupled]
         if self._spun is not None:
             np.multiply(state.v, dt, out=self._spun)
         for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
             batch.advance(state.q, state.v, dt, scaled)
+        for group, aim in zip(self.constraints.coupled, aims, strict=True):
+            group.meet(state.q, aim)
+        for batch in self.model.batches:
             batch.place(state.q, state.x)
-        state.t += dt
-        state.step += 1
+        state.t, state.step = state.t + dt, state.step + 1
         self.dt = dt
         self.current = False
-        if self.contacts is not None and self.contacts.update(state.x):
+        if self.contacts is not None and (self.contacts.update(state.x) or self.contacts.stiffer):
             self.stale = True
+            refuse_leaps(self.contacts, state.x_old, state.x)
         if self.particles is not None and self.particles.update(state.x, state.x_old, state.v, dt):
             self.stale = True
 
@@ -262,7 +269,7 @@ class System:
 
     def unseen_motion(self) -> float:
         """Longest step [s] in which no block moves so far that a stiff contact goes unseen; infinite at rest."""
-        speed, faced = self._speeds(), np.ones(self.model.n_blocks, dtype=bool)
+        speed, faced = self._pushed(self.state.v), np.ones(self.model.n_blocks, dtype=bool)
         unseen = np.inf
         if self.particles is not None:
             faced[self.particles.particles.block] = False
@@ -273,6 +280,69 @@ class System:
         fastest = float(np.sqrt(square.max(initial=0.0)))
         size = float(self.model.size[faced & ~self.model.fixed].min(initial=np.inf))
         return min(unseen, MOTION * size / fastest) if fastest > 0.0 else unseen
+
+    def slow_down(self, dt: float) -> None:
+        """Take away from the velocities what would move a block by more than MOTION of its size in `dt`."""
+        state, model = self.state, self.model
+        if dt * self._speed_bound() <= MOTION * self._smallest:
+            return
+        speed = self._pushed(state.v)
+        path = dt * np.sqrt(np.einsum("ni,ni->n", speed, speed))
+        if not (path > MOTION * model.size[model.gp_block]).any():
+            return
+        longest = np.zeros(model.n_blocks)
+        np.maximum.at(longest, model.gp_block, path)
+        factor = np.minimum(1.0, MOTION * model.size / np.maximum(longest, np.finfo(float).tiny))
+        before = self.scaled_kinetic(state.v)
+        for batch in model.batches:
+            rows = model.gp_block[batch.gridpoints] if batch.in_place else batch.rows
+            v = state.v[batch.dofs].reshape(len(rows), -1)
+            v *= factor[rows][:, None]
+        self.damped += 0.5 * (before - self.scaled_kinetic(state.v))
+
+    def _speed_bound(self) -> float:
+        """At least the largest speed of any gridpoint [m/s]."""
+        bound, speed = 0.0, np.zeros_like(self.state.x)
+        for batch in self.model.batches:
+            if batch.in_place:
+                bound = max(bound, 2.0 * float(np.abs(self.state.v[batch.dofs]).max(initial=0.0)))  # 2 > sqrt(3)
+            else:
+                batch.push(self.state.q, self.state.v, speed)
+                own = speed[batch.gridpoints]
+                bound = max(bound, float(np.sqrt(np.einsum("ni,ni->n", own, own).max(initial=0.0))))
+        return bound
+
+    def safe_closing(self) -> float:
+        """Longest step t [s] in which no joint that stiffens closes further than it can take; kicks last lag + t/2."""
+        a = self._pushed(self.accelerate(self.forces()))
+        speed = self._pushed(self.state.v) + self.lag * a
+        return float(self.contacts.pace(speed, 0.5 * a).min(initial=np.inf))
+
+    def _pushed(self, v: np.ndarray) -> np.ndarray:
+        """Values at gridpoints (n_gp, 3) of generalised velocities or accelerations."""
+        result = np.zeros_like(self.state.x)
+        for batch in self.model.batches:
+            batch.push(self.state.q, v, result)
+        return result
+
+    def brake(self, dt: float) -> None:
+        """Slow down blocks that would close a stiffening joint further than it can take in `dt`; fictitious time only.
+
+        Parameters
+        ----------
+        dt : float
+            The step to come.
+        """
+        speed = self._pushed(self.state.v)
+        share = np.minimum(self.contacts.pace(speed, np.zeros_like(speed)) / dt, 1.0)
+        if (share == 1.0).all():
+            return
+        v, before = self.state.v, self.scaled_kinetic(self.state.v)
+        for batch in self.model.batches:
+            owner = self.model.gp_block[batch.gridpoints] if batch.in_place else batch.rows
+            mine = v[batch.dofs].reshape(len(owner), -1)
+            mine *= share[owner][:, None]
+        self.damped += 0.5 * (before - self.scaled_kinetic(v))
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""
@@ -311,11 +381,15 @@ class System:
         self.weigh()
 
     def weigh(self) -> None:
-        """Tell conditions on blocks whose mass couples their unknowns what that mass is."""
+        """Tell conditions on blocks whose mass couples their unknowns what that mass is, and the blocks of them."""
+        if not self.constraints.coupled:
+            return
+        q, springs = self.state.q, self.springs()
         for group in self.constraints.coupled:
-            batch, number = self.model.batch_of(group.block), self.model.batch_index[group.block]
+            batch, scaled = self.model.batch_of(group.block), self.scaled[self.model.batch_index[group.block]]
             row = int(self.model.batch_row[group.block])
-            group.weigh(batch.inverse_mass(row, self.state.q, self.scaled[number]))
+            group.weigh(batch.inverse_mass(row, q, scaled))
+            batch.confine(row, q, group.rows, springs, scaled)
 
     def scaled_kinetic(self, v: np.ndarray) -> float:
         """``v.M v`` with the fictitious masses."""

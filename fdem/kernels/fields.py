@@ -27,6 +27,7 @@ __all__ = [
     "advance",
     "creep",
     "joint_stiffness",
+    "linear_force",
     "place",
     "pull",
     "push",
@@ -252,97 +253,77 @@ def creep(q, v, dt, angle):
 
 
 @kernel
+def _into_frame(R, values, b, out):
+    """Write unknowns, rates or forces of block ``b`` in the axes of its frame `R` to `out`."""
+    k = out.size // 3 - 1
+    for d in range(3):
+        out[d] = R[0, d] * values[b, 0] + R[1, d] * values[b, 1] + R[2, d] * values[b, 2]
+        for m in range(k):
+            x, y, z = values[b, 3 + m], values[b, 3 + k + m], values[b, 3 + 2 * k + m]
+            out[3 + d * k + m] = R[0, d] * x + R[1, d] * y + R[2, d] * z
+
+
+@kernel
+def _out_of_frame(R, local, b, out):
+    """Write `local` values in the axes of the frame `R` to row ``b`` of `out` in global axes."""
+    k = local.size // 3 - 1
+    for d in range(3):
+        out[b, d] = R[d, 0] * local[0] + R[d, 1] * local[1] + R[d, 2] * local[2]
+        for m in range(k):
+            x, y, z = local[3 + m], local[3 + k + m], local[3 + 2 * k + m]
+            out[b, 3 + d * k + m] = R[d, 0] * x + R[d, 1] * y + R[d, 2] * z
+
+
+@kernel
 def relax(q, f, inverse, a):
     """Accelerations by fictitious masses that turn with the blocks: ``a = T^T W T f``, T into the block's frame.
 
     `inverse` (n, 3 + 3 k, 3 + 3 k) is W, the inverse of the fictitious mass matrix of every block in its own frame.
     """
     size = f.shape[1]
-    k = size // 3 - 1
-    R, turned_f, turned_a = np.empty((3, 3)), np.empty(size), np.empty(size)
+    R, force, result = np.empty((3, 3)), np.empty(size), np.empty(size)
     for b in range(f.shape[0]):
-        _polar(q, b, k, R)
-        for d in range(3):
-            turned_f[d] = R[0, d] * f[b, 0] + R[1, d] * f[b, 1] + R[2, d] * f[b, 2]
-            for m in range(k):
-                x, y, z = f[b, 3 + m], f[b, 3 + k + m], f[b, 3 + 2 * k + m]
-                turned_f[3 + d * k + m] = R[0, d] * x + R[1, d] * y + R[2, d] * z
+        _polar(q, b, size // 3 - 1, R)
+        _into_frame(R, f, b, force)
         for i in range(size):
             s = 0.0
             for j in range(size):
-                s += inverse[b, i, j] * turned_f[j]
-            turned_a[i] = s
-        for d in range(3):
-            a[b, d] = R[d, 0] * turned_a[0] + R[d, 1] * turned_a[1] + R[d, 2] * turned_a[2]
-            for m in range(k):
-                x, y, z = turned_a[3 + m], turned_a[3 + k + m], turned_a[3 + 2 * k + m]
-                a[b, 3 + d * k + m] = R[d, 0] * x + R[d, 1] * y + R[d, 2] * z
+                s += inverse[b, i, j] * force[j]
+            result[i] = s
+        _out_of_frame(R, result, b, a)
 
 
 @kernel
-def _by_inverse(T, F, out):
-    """``out = T F^-1`` for (3, 3) matrices."""
-    a, b, c = F[0, 0], F[0, 1], F[0, 2]
-    d, e, f = F[1, 0], F[1, 1], F[1, 2]
-    g, h, i = F[2, 0], F[2, 1], F[2, 2]
-    c0, c1, c2 = e * i - f * h, f * g - d * i, d * h - e * g
-    one = 1.0 / (a * c0 + b * c1 + c * c2)
-    for r in range(3):
-        x, y, z = one * T[r, 0], one * T[r, 1], one * T[r, 2]
-        out[r, 0] = x * c0 + y * c1 + z * c2
-        out[r, 1] = x * (c * h - b * i) + y * (a * i - c * g) + z * (b * g - a * h)
-        out[r, 2] = x * (b * f - c * e) + y * (c * d - a * f) + z * (a * e - b * d)
+def resist(q, f, v, alpha, modes, carried, out):
+    """Write local damping to `out` (n, 3 + 3 k): in every mode a share `alpha` of its force, against its rate.
 
+    ========  ===============  ==================================================
+    modes     (n, w, w)        modes of each block in its own frame, in columns; columns of zeros are no mode
+    carried   (n, w, w)        mass times modes, such that ``modes^T carried`` is diagonal
+    ========  ===============  ==================================================
 
-@kernel
-def _against(alpha, force, rate):
-    return alpha * abs(force) * (1.0 if rate > 0.0 else -1.0 if rate < 0.0 else 0.0)
-
-
-@kernel
-def resist(q, f, v, alpha, out):
-    """Write local damping, a share `alpha` of the force against each motion, to `out` (n, 3 + 3 k).
-
-    The motions are those of the theory: translation, rotation, strain, and the quadratic functions beside them. By
-    components of F the share of a large stress would be a moment, and turn the block.
+    Unknown by unknown, forces that cancel in a soft motion would each be damped: a bending beam stands still or jumps.
     """
-    k = f.shape[1] // 3 - 1
-    F, rate, L = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    Q, back = np.empty((3, 3)), np.empty((3, 3))
+    size = f.shape[1]
+    R, force, rate, result = np.empty((3, 3)), np.empty(size), np.empty(size), np.empty(size)
     for b in range(f.shape[0]):
-        for i in range(3):
-            out[b, i] = _against(alpha, f[b, i], v[b, i])
-            for j in range(3):
-                F[i, j], rate[i, j] = q[b, 3 + i * k + j], v[b, 3 + i * k + j]
-                s = 0.0
-                for m in range(k):
-                    s += f[b, 3 + i * k + m] * q[b, 3 + j * k + m]
-                Q[i, j] = s
-        _by_inverse(rate, F, L)  # gradient of the velocity
-        for i in range(3):
-            j = (i + 1) % 3
-            # conjugate pairs: moment and rotation, shear and engineering shear strain
-            turn = _against(alpha, Q[j, i] - Q[i, j], 0.5 * (L[j, i] - L[i, j]))
-            shear = _against(alpha, 0.5 * (Q[i, j] + Q[j, i]), L[i, j] + L[j, i])
-            back[i, i] = _against(alpha, Q[i, i], L[i, i])
-            back[j, i], back[i, j] = shear + 0.5 * turn, shear - 0.5 * turn
-        for i in range(3):
-            for m in range(3, k):
-                g = v[b, 3 + i * k + m]
-                for j in range(3):
-                    g -= L[i, j] * q[b, 3 + j * k + m]
-                r = _against(alpha, f[b, 3 + i * k + m], g)
-                out[b, 3 + i * k + m] = r
-                for j in range(3):
-                    back[i, j] -= r * q[b, 3 + j * k + m]
-        # f F^T = back
-        for i in range(3):
-            for j in range(3):
-                rate[i, j] = F[j, i]
-        _by_inverse(back, rate, L)
-        for i in range(3):
-            for j in range(3):
-                out[b, 3 + i * k + j] = L[i, j]
+        _polar(q, b, size // 3 - 1, R)
+        _into_frame(R, f, b, force)
+        _into_frame(R, v, b, rate)
+        result[:] = 0.0
+        for m in range(size):
+            push = speed = norm = 0.0
+            for i in range(size):
+                push += modes[b, i, m] * force[i]
+                speed += carried[b, i, m] * rate[i]
+                norm += modes[b, i, m] * carried[b, i, m]
+            if norm > 0.0 and speed != 0.0:
+                share = alpha * abs(push) / norm
+                if speed < 0.0:
+                    share = -share
+                for i in range(size):
+                    result[i] += share * carried[b, i, m]
+        _out_of_frame(R, result, b, out)
 
 
 @kernel
@@ -441,3 +422,108 @@ def uniform_force(q, volume, lam, mu, stress0, f):
                 f[b, 3 + 3 * d] -= g0 * xx + g1 * xy + g2 * zx
                 f[b, 4 + 3 * d] -= g0 * xy + g1 * yy + g2 * yz
                 f[b, 5 + 3 * d] -= g0 * zx + g1 * yz + g2 * zz
+
+
+@kernel
+def _gradients(q, b, F):
+    """Write ``F(xi) = F_0 + sum_a xi_a F_a`` of block ``b`` of linear strain to `F` (4, 3, 3).
+
+    Functions 4 to 9 are the halves of xx, yy, zz and the products yz, zx, xy of the place xi from the centre.
+    """
+    for i in range(3):
+        p = 3 + 9 * i
+        F[0, i, 0], F[0, i, 1], F[0, i, 2] = q[b, p], q[b, p + 1], q[b, p + 2]
+        F[1, i, 0], F[2, i, 1], F[3, i, 2] = q[b, p + 3], q[b, p + 4], q[b, p + 5]
+        F[2, i, 2] = F[3, i, 1] = q[b, p + 6]
+        F[3, i, 0] = F[1, i, 2] = q[b, p + 7]
+        F[1, i, 1] = F[2, i, 0] = q[b, p + 8]
+
+
+@kernel
+def _green(F, a, c, e):
+    """Write ``(F_a^T F_c + F_c^T F_a) / 2`` (halved again where a = c) to `e` (6,), xx yy zz yz zx xy, shear halved."""
+    for n in range(6):
+        i = n if n < 3 else (n - 2) % 3
+        j = n if n < 3 else (n - 1) % 3
+        s = 0.0
+        for d in range(3):
+            s += F[a, d, i] * F[c, d, j] + F[c, d, i] * F[a, d, j]
+        e[n] = 0.5 * s if a != c else 0.25 * s
+
+
+@kernel
+def _linear_strain(F, e):
+    """Green strain of linear F by monomials 1, x, y, z, xx, yy, zz, yz, zx, xy, to `e` (10, 6), shear halved."""
+    for a in range(4):
+        _green(F, 0, a, e[a])
+    for a in range(3):
+        _green(F, a + 1, a + 1, e[4 + a])
+        _green(F, (a + 1) % 3 + 1, (a + 2) % 3 + 1, e[7 + a])
+    for n in range(3):
+        e[0, n] -= 0.5
+
+
+@kernel
+def _linear_stress(e, lam, mu, moments, start, out):
+    """Write moments ``int m S dV`` (10, 6) of the stress [N m, ...] to `out`; `start` those of the in-situ stress."""
+    for m in range(10):
+        for n in range(6):
+            s = 0.0
+            for o in range(10):
+                s += moments[m, o] * e[o, n]
+            out[m, n] = 2.0 * mu * s
+        spread = lam / (2.0 * mu) * (out[m, 0] + out[m, 1] + out[m, 2])
+        for n in range(3):
+            out[m, n] += spread
+        if start.shape[0] > 0:
+            for n in range(6):
+                out[m, n] += start[m, n]
+
+
+@kernel
+def _add_product(F, a, t, P):
+    """``P += F_a T`` for the symmetric tensor `t` (6,)."""
+    for i in range(3):
+        x, y, z = F[a, i, 0], F[a, i, 1], F[a, i, 2]
+        P[i, 0] += x * t[0] + y * t[5] + z * t[4]
+        P[i, 1] += x * t[5] + y * t[1] + z * t[3]
+        P[i, 2] += x * t[4] + y * t[3] + z * t[2]
+
+
+@kernel
+def linear_force(q, lam, mu, moments, stress0, f):
+    """Subtract the internal forces of blocks of linear strain from `f`: St. Venant-Kirchhoff, integrated exactly.
+
+    F is linear in place, the Green strain quadratic, the energy of degree 4: moments of monomials up to degree 4 give
+    it without quadrature. With ``T_ab = int xi_a xi_b S dV`` (xi_0 = 1) the force on F_a is ``sum_b F_b T_ab``.
+
+    ========  ===============  ==================================================
+    lam, mu   (n,)             Lame constants [Pa]
+    moments   (n, 10, 10)      integrals of products of the monomials 1, x, y, z, xx, yy, zz, yz, zx, xy
+    stress0   (n, 10, 6) or (0, 10, 6)  integrals of monomials times the in-situ stress (2nd Piola-Kirchhoff)
+    ========  ===============  ==================================================
+    """
+    F, P = np.empty((4, 3, 3)), np.empty((4, 3, 3))
+    e, t, none = np.empty((10, 6)), np.empty((10, 6)), np.empty((0, 6))
+    for b in range(q.shape[0]):
+        _gradients(q, b, F)
+        _linear_strain(F, e)
+        _linear_stress(e, lam[b], mu[b], moments[b], stress0[b] if stress0.shape[0] > 0 else none, t)
+        P[:] = 0.0
+        for a in range(4):
+            _add_product(F, a, t[a], P[0])
+        for a in range(1, 4):
+            _add_product(F, 0, t[a], P[a])
+            for c in range(1, 4):
+                _add_product(F, c, t[3 + a] if a == c else t[12 - a - c], P[a])
+        for i in range(3):
+            p = 3 + 9 * i
+            f[b, p] -= P[0, i, 0]
+            f[b, p + 1] -= P[0, i, 1]
+            f[b, p + 2] -= P[0, i, 2]
+            f[b, p + 3] -= P[1, i, 0]
+            f[b, p + 4] -= P[2, i, 1]
+            f[b, p + 5] -= P[3, i, 2]
+            f[b, p + 6] -= P[2, i, 2] + P[3, i, 1]
+            f[b, p + 7] -= P[3, i, 0] + P[1, i, 2]
+            f[b, p + 8] -= P[1, i, 1] + P[2, i, 0]

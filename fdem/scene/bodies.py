@@ -8,7 +8,7 @@ from typing import ClassVar
 from fdem.errors import SceneError
 from fdem.scene.checks import number
 
-__all__ = ["BODIES", "Rigid", "UniformStrain", "Zoned"]
+__all__ = ["BODIES", "LinearStrain", "Rigid", "UniformStrain", "Zoned"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,36 @@ class UniformStrain:
 
     kind: ClassVar[str] = "uniform"
     deforms: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class LinearStrain:
+    """A block whose strain is linear in place, of any shape: it bends without a mesh.
+
+    Parameters
+    ----------
+    size : float, optional
+        Target edge [m] of the facets that contact sees; None: half the cube root of the block's volume. Faces curve,
+        the facets between their gridpoints are flat: finer ones follow more closely and cost more contact points.
+
+    Raises
+    ------
+    SceneError
+        If `size` is not positive.
+
+    Notes
+    -----
+    Thirty unknowns, ``x = c + F xi + G : (xi xi) / 2`` with ``xi = X - C``. St. Venant-Kirchhoff, integrated exactly.
+    """
+
+    kind: ClassVar[str] = "linear"
+    deforms: ClassVar[bool] = True
+
+    size: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.size is not None:
+            number("LinearStrain", "size", self.size, low=0.0, open_low=True)
 
 
 @dataclass(frozen=True)
@@ -80,4 +110,4 @@ class Zoned:
                 raise SceneError(f"Zoned: {field} = {getattr(self, field)!r}, allowed are {', '.join(allowed)}")
 
 
-BODIES = (Rigid, UniformStrain, Zoned)
+BODIES = (Rigid, UniformStrain, LinearStrain, Zoned)

@@ -83,7 +83,7 @@ class Scene:
         ----------
         shape : Shape or list of Shape
             Geometry [m]; closed pyvista surfaces, skfem and meshio meshes are shapes too.
-        body : Rigid, UniformStrain or Zoned
+        body : Rigid, UniformStrain, LinearStrain or Zoned
             How it moves.
         material : Elastic, optional
             What it is made of; not needed by fixed rigid blocks.
@@ -146,14 +146,11 @@ class Scene:
         """
         who, body, material = f"block {block.name!r}", block.body, block.material
         if not isinstance(body, BODIES):
-            allowed = ", ".join(f"{kind.__name__}()" for kind in BODIES)
-            raise SceneError(f"{who}: body = {body!r}, allowed are {allowed}")
+            raise SceneError(f"{who}: body = {body!r}, allowed are {', '.join(f'{k.__name__}()' for k in BODIES)}")
         if material is not None and not isinstance(material, Elastic):
             raise SceneError(f"{who}: material = {material!r}, allowed is an Elastic")
         if isinstance(block.shape, Balls) and (body.deforms or callable(getattr(material, "density", None))):
-            raise SceneError(
-                f"{who}: spheres and clumps are Rigid() and have one density; icosphere() has no such bounds"
-            )
+            raise SceneError(f"{who}: spheres and clumps are Rigid() and of one density; an icosphere need not be")
         if isinstance(block.shape, Surface) and not (block.fixed and isinstance(body, Rigid)):
             raise SceneError(f"{who}: shape is an open surface: only fixed rigid blocks can have one")
         if material is None and not block.fixed:
@@ -227,7 +224,8 @@ class Scene:
         law : Joint
             The law.
         target : selector, optional
-            None: every contact; a group: contacts with a block in it; a joint set: its faces.
+            None: every contact; a group: contacts with a block in it; a joint set: contacts between faces it made;
+            a mesh tag: contacts with a face of that tag.
         between : (selector, selector), optional
             One block in each.
         where : callable, optional

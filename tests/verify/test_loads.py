@@ -14,7 +14,12 @@ ROCK = fdem.Elastic(DENSITY, YOUNG, POISSON)
 SIZE = np.array([1.0, 2.0, 3.0])
 MASS = DENSITY * SIZE.prod()
 INERTIA = MASS / 12 * np.diag([13.0, 10.0, 5.0])
-BODIES = {"rigid": fdem.Rigid(), "uniform": fdem.UniformStrain(), "zoned": fdem.Zoned(mass="inertia-matched")}
+BODIES = {
+    "rigid": fdem.Rigid(),
+    "uniform": fdem.UniformStrain(),
+    "linear": fdem.LinearStrain(),
+    "zoned": fdem.Zoned(mass="inertia-matched"),
+}
 
 
 def one_block(body="rigid", gravity=(0, 0, 0), shape=None, **given):
