@@ -41,6 +41,8 @@ class Model:
         The one whose blocks have zones.
     gravity : (3,) array
         [m/s^2].
+    balls, ball_radius : (n,) arrays
+        Gridpoints that are centres of spheres, those of clumps too, and the radii [m].
     notes : list of str
         What was compiled, chosen and left out, for `describe`.
     """
@@ -72,6 +74,8 @@ class Model:
     damping_ratio: float
     joint_names: list[str]
     wave_speed: np.ndarray
+    balls: np.ndarray
+    ball_radius: np.ndarray
     notes: list[str] = field(default_factory=list)
 
     @property

@@ -157,16 +157,19 @@ class Readout:
         """Contact points: blocks, joint, normal, gap, area, traction, force, slip, state, failure, position."""
         contacts, particles = self.system.contacts, self.system.particles
         self.forces()
-        names = ("block_a", "block_b", "joint", "state", "failure")
+        names = ("block_a", "block_b", "joint", "state", "failure", "patch")
         table: dict[str, Any] = {name: np.zeros(0, dtype=np.int32) for name in names}
         table |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
         table |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
+        table["frame"] = np.zeros((0, 3, 3))
         if contacts is not None:
             table = dict(contacts.table(self.state.x))
         if particles is not None:
             own = sphere_table(particles)
-            own["failure"] = np.zeros(len(own["joint"]), dtype=np.int32)
-            table = {name: np.concatenate([table[name], own[name]]) if name in own else table[name] for name in table}
+            n = len(own["joint"])
+            # what only laws of faces remember
+            own |= {name: np.zeros((n, *rows.shape[1:])) for name, rows in table.items() if name not in own}
+            table = {name: np.concatenate([table[name], own[name]]) for name in table}
         table["position"] = table["position"] + self.model.origin
         table["joint_names"] = self.model.joint_names
         return table

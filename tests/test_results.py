@@ -39,6 +39,7 @@ def make_view(blocks: int = 3, scale: float = 1.0) -> SimpleNamespace:
         triangles=np.concatenate([TRIANGLES + 8 * i for i in range(blocks)]).astype(np.int32),
         triangle_block=np.repeat(ids, 12), triangle_tag=np.tile([0, 0, -1, -1, 1, 1], 2 * blocks).astype(np.int32),
         tags=["bed", "cross"], zoned=zoned, fixed=~zoned, origin=np.zeros(3),
+        balls=np.zeros(0, dtype=np.int32), ball_radius=np.zeros(0),
     )  # fmt: skip
     u = np.where(X[:, 2:] > 0, 1e-3 * scale, 0.0) * [1.0, 0.0, 2.0]
     normal = np.array([[1.0, 0, 0], [0, 0, -1], [0, 0, -1]])

@@ -320,3 +320,50 @@ def test_what_spheres_refuse():
         fdem.Hertz(friction=30, young=1e9)
     with pytest.raises(fdem.SceneError, match="restitution"):
         fdem.Hertz(friction=30, restitution=1.5)
+
+
+def test_pictures_and_files_show_spheres(tmp_path):
+    """Every sphere is a closed surface of its radius about its centre; ParaView gets the centres and radii."""
+    pytest.importorskip("pyvista")
+    scene = fdem.Scene()
+    scene.add(fdem.brick((-1, -1, -0.2), (1, 1, 0)), fdem.Rigid(), GRAIN, fixed=True, group="floor")
+    scene.add(fdem.brick((-1, 0.5, 0), (1, 1, 0.3)), fdem.Zoned(0.3), GRAIN, fixed=True, name="wall")
+    scene.add(fdem.sphere(0.1, (0, 0, 0.0999)), fdem.Rigid(), GRAIN, name="ball")
+    pair = [((0.5, 0, 0.2), 0.12), ((0.5, 0.1, 0.2), 0.1)]
+    scene.add(fdem.clump(pair), fdem.Rigid(), GRAIN, angular_velocity=(0, 0, 1), name="pair")
+    scene.joint(fdem.Hertz(friction=26, restitution=0.3))
+    sim = simulation(scene, fdem.Explicit(dt=1e-5))
+    frames = fdem.Frames(tmp_path / "run.vtkhdf", every=50)
+    sim.record(frames)
+    sim.run(steps=100)
+    mesh, block = sim.mesh(), sim.model.names.index
+    centres = [sim["ball"].position, *sim.positions()[sim.model.balls[1:]]]
+    for name, parts in (("ball", ((centres[0], 0.1),)), ("pair", ((centres[1], 0.12), (centres[2], 0.1)))):
+        surface = mesh.extract_cells(mesh.cell_data["block"] == block(name)).extract_surface(algorithm=None)
+        assert surface.is_manifold and surface.n_open_edges == 0
+        distance = np.array([np.linalg.norm(surface.points - c, axis=1) - r for c, r in parts])
+        assert np.abs(distance).min(axis=0).max() < 1e-7  # pyvista's sphere is in single precision
+        inside = sum(4 / 3 * np.pi * r**3 for _, r in parts)
+        assert 0.97 * inside < surface.volume < inside
+        assert np.isnan(mesh.cell_data["stress"][mesh.cell_data["block"] == block(name)]).all()
+    assert np.linalg.norm(centres[2] - pair[1][0]) > 0.5e-4  # the clump has turned
+    for scalars, options in (("velocity", {}), ("group", {"clip": ((1, 0, 0), (0.5, 0, 0))}), ("traction", {})):
+        assert sim.plot(tmp_path / f"{scalars}.png", scalars, **options).stat().st_size > 10_000
+    seen = last_frame(tmp_path / "run.vtkhdf")
+    ball = seen.point_data["radius"] > 0.0
+    np.testing.assert_allclose(seen.point_data["radius"][ball], [0.1, 0.12, 0.1], rtol=1e-7)
+    np.testing.assert_allclose(seen.points[ball], sim.positions()[sim.model.balls], rtol=1e-14)
+    assert (seen.celltypes == 1).sum() == 3 and seen.cell_data["block"][seen.celltypes == 1].tolist() == [2, 3, 3]
+
+
+def last_frame(path):
+    """Last frame of a file, as VTK and with it ParaView reads it."""
+    pv = pytest.importorskip("pyvista")
+    pytest.importorskip("h5py")
+    from vtkmodules.vtkIOHDF import vtkHDFReader
+
+    reader = vtkHDFReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    reader.UpdateTimeStep(reader.GetOutputInformation(0).Get(reader.GetExecutive().TIME_STEPS())[-1])
+    return pv.wrap(reader.GetOutput())

@@ -33,6 +33,7 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
         n_in_place=max((batch.gridpoints.stop for batch in batches.values() if batch.in_place), default=0),
     )
     zones, zone_block, zone_start = layout.zones()
+    balls, ball_radius = layout.balls()
     mass = layout.density * layout.volume
     gp_mass = np.zeros(len(X))
     batch_row, batch_index = np.full(n_blocks, -1), np.full(n_blocks, -1)
@@ -47,9 +48,6 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
             # all gridpoints of a block that moves as a whole carry its whole mass
             gp_mass[batch.gridpoints] = np.repeat(batch.mass, np.diff(shares[kind].gp_start))
             centroid[rows] = batch.centre0
-    tags = sorted({tag for per_block in layout.loop_tags for tag in per_block if tag is not None})
-    number_of = {tag: i for i, tag in enumerate(tags)}
-    counts = [len(t) for t in layout.triangles]
     model = Model(
         names=[b.name for b in layout.blocks],
         groups=[b.group for b in layout.blocks],
@@ -68,14 +66,7 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
         zones=zones,
         zone_block=zone_block,
         zone_start=zone_start,
-        triangles=np.vstack([t + s for t, (s, _) in zip(layout.triangles, layout.gp_range, strict=True)]).astype(
-            np.int32
-        ),
-        triangle_block=np.repeat(np.arange(len(counts)), counts).astype(np.int32),
-        triangle_tag=np.array(
-            [-1 if t is None else number_of[t] for tags_ in layout.triangle_tags for t in tags_], dtype=np.int32
-        ),
-        tags=tags,
+        **_triangles(layout),
         batches=tuple(batches.values()),
         deformable=batches.get("zoned"),
         gravity=layout.scene.gravity,
@@ -85,10 +76,26 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
         ),
         joint_names=[_joint_name(rule) for rule in layout.scene.joints],
         wave_speed=np.array([_wave_speeds(b, rho) for b, rho in zip(layout.blocks, layout.density, strict=True)]),
+        balls=balls,
+        ball_radius=ball_radius,
         notes=notes,
     )
     _start(layout, model, state, shares, batches)
     return model, state
+
+
+def _triangles(layout: Layout) -> dict[str, Any]:
+    """Surface triangles of all blocks, their blocks and tags."""
+    tags = sorted({tag for per_block in layout.loop_tags for tag in per_block if tag is not None})
+    number_of: dict[str | None, int] = {tag: i for i, tag in enumerate(tags)} | {None: -1}
+    triangles = [t + s for t, (s, _) in zip(layout.triangles, layout.gp_range, strict=True)]
+    counts = [len(t) for t in triangles]
+    return {
+        "triangles": np.vstack(triangles).astype(np.int32),
+        "triangle_block": np.repeat(np.arange(len(counts)), counts).astype(np.int32),
+        "triangle_tag": np.array([number_of[t] for per_block in layout.triangle_tags for t in per_block], np.int32),
+        "tags": tags,
+    }
 
 
 def _present(layout: Layout) -> list[Any]:

@@ -89,6 +89,14 @@ class Layout:
                 result[i] = self.properties(i).mass / self.volume[i] if callable(rho) else float(rho)
         return result
 
+    def balls(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gridpoints (n,) of all spheres, those of clumps too, in the order of blocks, and their radii (n,) [m]."""
+        rows = [i for i, block in enumerate(self.blocks) if isinstance(block.shape, Balls)]
+        counts = np.array([len(self.blocks[i].shape.points) for i in rows], dtype=np.int64)
+        first = np.repeat(self.gp_range[rows, 0] - np.cumsum(counts) + counts, counts)
+        radii = np.array([r for i in rows for r in self.blocks[i].shape.radii], dtype=np.float64)
+        return (first + np.arange(len(first))).astype(np.int32), radii
+
     def zones(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Gridpoints (m, 4) and block (m,) of every zone, first zone of every block (n_blocks + 1,)."""
         zoned = self.of_kind("zoned")

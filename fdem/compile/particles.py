@@ -28,21 +28,12 @@ def compile_particles(layout: Layout, model: Model, state: State, surfaces: Any,
     from fdem.contact.particles import Particles, SphereTable
     from fdem.contact.spheres import SphereContacts
 
-    rows = [i for i, block in enumerate(layout.blocks) if isinstance(block.shape, Balls)]
-    counts = np.array([len(layout.blocks[i].shape.points) for i in rows])
-    block = np.repeat(rows, counts)
-    first = np.cumsum(counts) - counts
-    inside = np.arange(len(block)) - np.repeat(first, counts)
+    block = model.gp_block[model.balls]
     spin = np.full(model.n_blocks, -1, dtype=np.int64)
     for batch in model.batches:
         if not batch.in_place and not batch.coupled:
             spin[batch.rows] = batch.dofs.start + 6 * np.arange(len(batch.rows)) + 3
-    particles = Particles(
-        gp=(model.gp_range[block, 0] + inside).astype(np.int32),
-        block=block.astype(np.int32),
-        radius=_radii(layout, rows, counts),
-        spin=spin[block],
-    )
+    particles = Particles(gp=model.balls, block=block, radius=model.ball_radius, spin=spin[block])
     mobile = ~model.fixed
     inverse = np.where(mobile & (model.mass > 0.0), 1.0 / np.where(model.mass > 0.0, model.mass, 1.0), 0.0)
     compliance = np.array([_compliance(b) for b in layout.blocks])
@@ -67,12 +58,6 @@ def compile_particles(layout: Layout, model: Model, state: State, surfaces: Any,
         gravity=float(np.linalg.norm(model.gravity)),
         names=model.names,
     )
-
-
-def _radii(layout: Layout, rows: list[int], counts: np.ndarray) -> np.ndarray:
-    if (counts == 1).all():
-        return np.array([layout.blocks[i].shape.radii[0] for i in rows])
-    return np.concatenate([layout.blocks[i].shape.radii for i in rows])
 
 
 def _compliance(block: Any) -> tuple[float, float]:

@@ -82,7 +82,9 @@ def sphere_table(c: SphereContacts) -> dict[str, Any]:
         "force": on_b,
         "slip": np.zeros(len(area)),
         "state": np.where(slipping, joints.SLIPPING, joints.CLOSED).astype(np.int8),
+        "failure": np.zeros(len(area), dtype=np.int8),
         "position": t["position"],
+        "patch": np.full(len(area), -1, dtype=np.int32),
         "frame": frame,
     }
 

@@ -318,8 +318,6 @@ class Hertz(Joint):
         Restitution coefficient of the normal impact, the same at every speed.
     rolling, twisting : float, optional
         Rolling and twisting resistance: lengths [m] that times the normal force limit the couples.
-    kn, ks : None
-        Not to be given: the stiffness follows from the elastic constants.
 
     Raises
     ------
