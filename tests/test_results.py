@@ -49,6 +49,7 @@ def make_view(blocks: int = 3, scale: float = 1.0) -> SimpleNamespace:
         area=scale**2 * np.ones(3), traction=np.array([[0.0, 0, 0], [1e5, 2e4, 0], [2e5, 0, 1e4]]),
         force=-normal * 1e5, slip=scale * np.array([0.0, 1e-3, 2e-3]), state=np.array([3, 2, 1], np.int8),
         position=scale * np.array([[1, 0.5, 0.5], [0.5, 0.5, 0], [1.5, 0.5, 0]]),
+        patch=np.arange(3, dtype=np.int32),
     )  # fmt: skip
     stress = np.tile([1.0, 2, 3, 4, 5, 6], (len(model.zones), 1)) * 1e5
     inner = np.full((blocks, 6), np.nan)

@@ -334,8 +334,8 @@ def test_pictures_and_files_show_spheres(tmp_path):
     scene.joint(fdem.Hertz(friction=26, restitution=0.3))
     sim = simulation(scene, fdem.Explicit(dt=1e-5))
     frames = fdem.Frames(tmp_path / "run.vtkhdf", every=50)
-    sim.record(frames)
-    sim.run(steps=100)
+    sim.observe(frames)
+    sim.cycle(100)
     mesh, block = sim.mesh(), sim.model.names.index
     centres = [sim["ball"].position, *sim.positions()[sim.model.balls[1:]]]
     for name, parts in (("ball", ((centres[0], 0.1),)), ("pair", ((centres[1], 0.12), (centres[2], 0.1)))):
@@ -350,9 +350,10 @@ def test_pictures_and_files_show_spheres(tmp_path):
     for scalars, options in (("velocity", {}), ("group", {"clip": ((1, 0, 0), (0.5, 0, 0))}), ("traction", {})):
         assert sim.plot(tmp_path / f"{scalars}.png", scalars, **options).stat().st_size > 10_000
     seen = last_frame(tmp_path / "run.vtkhdf")
-    ball = seen.point_data["radius"] > 0.0
-    np.testing.assert_allclose(seen.point_data["radius"][ball], [0.1, 0.12, 0.1], rtol=1e-7)
-    np.testing.assert_allclose(seen.points[ball], sim.positions()[sim.model.balls], rtol=1e-14)
+    balls = sim.model.balls
+    np.testing.assert_allclose(seen.point_data["radius"][balls], [0.1, 0.12, 0.1], rtol=1e-7)
+    np.testing.assert_array_equal(np.sort(balls), np.flatnonzero(seen.point_data["radius"]))
+    np.testing.assert_allclose(seen.points[balls], sim.positions()[balls], rtol=1e-14)
     assert (seen.celltypes == 1).sum() == 3 and seen.cell_data["block"][seen.celltypes == 1].tolist() == [2, 3, 3]
 
 

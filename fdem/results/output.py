@@ -22,9 +22,9 @@ class Frames:
     """A series of frames in one VTKHDF file, which ParaView and pyvista open.
 
     Points are the current positions [m]; point data ``displacement`` [m], ``velocity`` [m/s] and ``radius`` [m] (0 but
-    in the centres of spheres, which are cells of one point: glyphs of this size show them); cell data ``block``, ``group`` (numbers) and ``stress`` [Pa] (9 components, tension positive); field data
-    ``group_names``, ``block_names`` and ``step``. The mesh is written once, and again when it changes
-    (excavation).
+    in the centres of spheres, which are cells of one point: glyphs of this size show them); cell data ``block``,
+    ``group`` (numbers) and ``stress`` [Pa] (9 components, tension positive); field data ``group_names``,
+    ``block_names`` and ``step``. The mesh is written once, and again when it changes (excavation).
 
     Parameters
     ----------

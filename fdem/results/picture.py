@@ -55,7 +55,8 @@ class Picture:
         self.block: Ints = np.concatenate([model.triangle_block[faces], skins.block])
         self.tag: Ints = np.concatenate([model.triangle_tag[faces], np.full(len(skins.block), -1, dtype=np.int32)])
         # closed surfaces: the spheres of a clump overlap
-        self.part: Ints = np.concatenate([self.block[: self.n_faces], len(model.names) + skins.gridpoint[skins.triangles[:, 0]]])
+        centre = skins.gridpoint[skins.triangles[:, 0]]
+        self.part: Ints = np.concatenate([self.block[: self.n_faces], len(model.names) + centre])
         self.used = np.unique(self.triangles)
         if not len(self.used):
             raise SceneError("plot: nothing to draw, all blocks are hidden")

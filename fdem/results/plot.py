@@ -364,11 +364,11 @@ def _chains(picture: Picture, table: Any) -> tuple[Array, Ints, Ints]:
     seen = (table["patch"] < 0) & picture.shown[a] & picture.shown[b] & (picture.factor == 1.0)
     if picture.clip is not None:
         seen &= (position - picture.clip[1]) @ picture.clip[0] <= 0.0
-    contact = np.flatnonzero(seen)
-    arm = np.sqrt(table["area"][contact] / np.pi)[:, None] * table["normal"][contact]
+    contact = np.flatnonzero(seen).astype(np.int32)
+    arm: Array = np.sqrt(table["area"][contact] / np.pi)[:, None] * table["normal"][contact]
     ends = [position[contact] - balls[a[contact], None] * arm, position[contact] + balls[b[contact], None] * arm]
     lines = np.arange(2 * len(contact), dtype=np.int32).reshape(-1, 2)
-    return np.stack(ends, axis=1).reshape(-1, 3), lines, contact
+    return np.concatenate(ends, axis=1).reshape(-1, 3), lines, contact
 
 
 def _traces(picture: Picture, table: Any) -> tuple[Array, Ints, Ints]:
