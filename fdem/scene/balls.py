@@ -9,7 +9,7 @@ from fdem.scene.polygons import Array
 __all__ = ["union_moments"]
 
 TRIPLES = 12  # balls up to which every change of the section is found
-ORDER, ORDER_MANY = 12, 8  # points between two changes
+ORDER, ORDER_MANY = 20, 8  # points between two changes
 
 
 def union_moments(centres: Array, radii: Array) -> tuple[float, Array, Array]:
