@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from scenes import quietly
@@ -43,7 +45,7 @@ def along_a_line(balls):
         def at(z):
             return function(max(0.0, *(r * r - (z - c) ** 2 for c, r in balls)), z)
 
-        return sum(quad(at, a, b, epsabs=1e-13, epsrel=1e-13)[0] for a, b in zip(kinks[:-1], kinks[1:], strict=True))
+        return sum(quad(at, a, b, epsabs=1e-13, epsrel=1e-13)[0] for a, b in itertools.pairwise(kinks))
 
     volume = total(lambda s, z: np.pi * s)
     centre = total(lambda s, z: np.pi * s * z) / volume
