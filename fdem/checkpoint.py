@@ -251,7 +251,7 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
             setattr(system, name, saved[name])
     system.scaled = [saved.get(f"scaled_{i}") for i in range(len(system.scaled))]
     for i, group in enumerate(system.constraints.coupled):
-        group.weigh(saved[f"coupled_{i}"])
+        group.weigh(saved[f"coupled_{i}"], sim.integrator.scaled)
     if system.contacts is not None:
         system.contacts.restore({k[len("contacts_") :]: v for k, v in saved.items() if k.startswith("contacts_")})
     for name in SCALARS:

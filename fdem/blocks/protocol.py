@@ -73,9 +73,7 @@ class Blocks(Protocol):
     def advance(self, q: np.ndarray, v: np.ndarray, dt: float, scaled: Any = None) -> None:
         """Move `q` by `dt` [s] at fixed momentum, updating `v` where the inertia rotates."""
 
-    def resist(
-        self, q: np.ndarray, f: np.ndarray, v: np.ndarray, share: float, out: np.ndarray, scaled: Any = None
-    ) -> None:
+    def resist(self, q: np.ndarray, f: np.ndarray, v: np.ndarray, share: float, out: np.ndarray) -> None:
         """Write forces that resist the motion `v`, a `share` of the forces `f` by components, into `out`."""
 
     def kinetic(self, q: np.ndarray, v: np.ndarray) -> float:

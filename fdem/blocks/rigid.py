@@ -154,7 +154,7 @@ class RigidBlocks:
         """
         kernels.rigid_advance(self._q(q), self._v(v), dt, self.moments, self.axes)
 
-    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array, scaled: Array | None = None) -> None:
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
         """Write local damping into `out`: a share of the force against every unknown's velocity."""
         out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
 

@@ -235,7 +235,7 @@ class ZonedBlocks:
 
     # energies
 
-    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array, scaled: Array | None = None) -> None:
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
         """Write a `share` of every force, against the velocity, into `out`."""
         out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
 

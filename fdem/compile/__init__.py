@@ -112,6 +112,7 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
                 fixed=bool(model.fixed[i]),
                 volume=0.0 if isinstance(shape, Surface) else float(model.volume[i]),
                 mass=np.inf if model.fixed[i] else float(model.mass[i]),
+                whole=kind != "zoned",
                 behind=None if mesh is None else (_behind if kind == "zoned" else _opposite)(mesh) + start,
             )
         )
