@@ -89,9 +89,11 @@ def carry(old: Carrier, sim: Simulation, *, motion: bool = True) -> None:
 
 def _carry_block(old: Carrier, sim: Simulation, before: int, after: int, motion: bool) -> None:
     source, target = old.model.batch_of(before), sim.model.batch_of(after)
-    if source is None or target is None or type(source) is not type(target):
-        return
     rows = int(old.model.batch_row[before]), int(sim.model.batch_row[after])
+    if source is None or target is None or type(source) is not type(target):
+        if target is not None:
+            target.fit(rows[1], sim.state.q, sim.state.x)
+        return
     a, b = source.coords_of(rows[0]), target.coords_of(rows[1])
     sim.state.q[b] = old.state.q[a]
     sim.system.q0[b] = old.system.q0[a]

@@ -137,6 +137,19 @@ class FieldBlocks:
         """Write the positions of the batch's gridpoints into `x` [m]."""
         kernels.place(self._q(q), self._X, self.centre0, self.phi, self._start, x[self.gridpoints])
 
+    def fit(self, row: int, q: Array, x: Array) -> None:
+        """Give one block the motion nearest to the gridpoint positions `x` [m], and place these there."""
+        own = slice(*self._start[row : row + 2])
+        moved = x[self.gridpoints][own] - self._X[own]
+        scale = np.abs(self.phi[own]).max(axis=0)
+        basis = np.hstack([np.ones((len(moved), 1)), self.phi[own] / scale])
+        found = np.linalg.lstsq(basis, moved, rcond=None)[0]
+        self._q(q)[row, :3] = self.centre0[row] + found[0]
+        rest = found[1:].T / scale
+        rest[:, :3] += np.eye(3)
+        self._q(q)[row, 3:] = rest.ravel()
+        self.place(q, x)
+
     def show(self, q: Array, x: Array) -> None:
         """Write where the material points of the batch's gridpoints are into `x` [m]."""
         if self.material is not self.phi:

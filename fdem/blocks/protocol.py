@@ -102,6 +102,9 @@ class Blocks(Protocol):
     ) -> float:
         """Largest unbalanced force over the largest force acting."""
 
+    def fit(self, row: int, q: np.ndarray, x: np.ndarray) -> None:
+        """Take over one block whose gridpoints another formulation has moved to `x`: write `q`, and its own `x`."""
+
     # readout, (n_blocks, ...) of the whole batch
 
     def dofs_of(self, row: int) -> slice:

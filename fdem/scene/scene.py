@@ -256,6 +256,10 @@ class Scene:
     def fix(self, target: Any = None, component: Any = None, where: Where | None = None) -> Fix:
         """Fix gridpoints of zoned blocks, or whole blocks of other kinds.
 
+        On blocks of uniform strain a component alone holds the displacement of every point, strain included; together
+        with "rotation" it holds the centre and leaves the strain free. Blocks of linear strain do the same, or hold the
+        gridpoints selected where these are not all.
+
         Parameters
         ----------
         target : selector, optional
