@@ -11,10 +11,12 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from fdem.contact import sphere_readout
 from fdem.contact.carry import adopt
 from fdem.errors import CheckpointError
 from fdem.model import Model
 from fdem.scene import boundary
+from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Block, Gridpoint
 
 if TYPE_CHECKING:
@@ -25,7 +27,7 @@ __all__ = ["Carrier", "carry", "read", "restore", "save", "transfer"]
 FORMAT = 1
 SCALARS = ("lag", "dt", "work", "damped", "omega")
 ARRAYS = ("q", "v", "x", "x_old")
-KEPT = ("elastic_old", "_load_old", "_reaction_old", "_k_used", "force_before")
+KEPT = ("elastic_old", "_load_old", "_reaction_old", "_turning_old", "_spun", "_k_used", "force_before")
 
 
 class Carrier:
@@ -80,6 +82,8 @@ def carry(old: Carrier, sim: Simulation, *, motion: bool = True) -> None:
             sim.system._load_old[b] = old.system._load_old[a]
     if sim.system.contacts is not None and old.system.contacts is not None:
         adopt(sim.system.contacts, old.system.contacts, np.array(old.rows(model)), old.gridpoints(model), state.x)
+    if sim.system.particles is not None and old.system.particles is not None:
+        sphere_readout.adopt(sim.system.particles, old.system.particles, np.array(old.rows(model)), state.x)
     if motion:
         for name in SCALARS:
             setattr(sim.system, name, getattr(old.system, name))
@@ -137,8 +141,13 @@ def save(sim: Simulation, path: str | Path) -> None:
     arrays |= {f"coupled_{i}": group.inverse for i, group in enumerate(system.constraints.coupled)}
     if system.contacts is not None:
         arrays |= {f"contacts_{key}": value for key, value in system.contacts.state_arrays().items()}
+    if system.particles is not None:
+        arrays |= {f"spheres_{key}": value for key, value in sphere_readout.state_arrays(system.particles).items()}
     for i, (gp, forces, _, _) in enumerate(sim._releases):
         arrays |= {f"release_gp_{i}": gp, f"release_f_{i}": forces}
+    if sim._before is not None:
+        layout = sim.compiled.layout
+        arrays |= {f"kept_{key}": value for key, value in Kept(layout.origin, layout.kept).arrays().items()}
     handles = list(sim._applied)
     head = {
         "format": FORMAT,
@@ -235,6 +244,8 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
     sim._releases = [
         (saved[f"release_gp_{i}"], saved[f"release_f_{i}"], at, over) for i, (at, over) in enumerate(head["releases"])
     ]
+    kept = {key[len("kept_") :]: value for key, value in saved.items() if key.startswith("kept_")}
+    sim._before = Kept.read(kept) if kept else None
     sim._compile()
     for name, have, wanted in zip(head["names"], digests(sim.model), head["digests"], strict=True):
         if have != wanted:
@@ -256,6 +267,9 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
         group.weigh(saved[f"coupled_{i}"], sim.integrator.scaled)
     if system.contacts is not None:
         system.contacts.restore({k[len("contacts_") :]: v for k, v in saved.items() if k.startswith("contacts_")})
+    if system.particles is not None:
+        own = {k[len("spheres_") :]: v for k, v in saved.items() if k.startswith("spheres_")}
+        sphere_readout.restore(system.particles, own, state.x)
     for name in SCALARS:
         setattr(system, name, float.fromhex(head["scalars"][name]))
     state.t, state.step = float.fromhex(head["t"]), int(head["step"])

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from fdem.contact import sphere_readout
 from fdem.contact.carry import notes
 
 __all__ = ["describe"]
@@ -23,6 +24,8 @@ def describe(sim: Any) -> str:
     lines += model.notes
     if contacts is not None:
         lines += notes(contacts)
+    if sim.system.particles is not None:
+        lines += sphere_readout.notes(sim.system.particles)
     if sim.ledger is None:
         lines.append("energy ledger: left out (energy=False)")
     if sim.system.f_load is None:

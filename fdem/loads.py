@@ -13,7 +13,7 @@ import numpy as np
 
 from fdem.errors import SceneError, SolveError
 
-__all__ = ["Bedding", "Couple", "Dashpot", "DeadLoad", "Follower", "Load", "Release", "UserLoad"]
+__all__ = ["Bedding", "Couple", "Dashpot", "DeadLoad", "Follower", "Load", "Release", "Torque", "UserLoad"]
 
 
 class Load(ABC):
@@ -129,6 +129,30 @@ class Couple(Load):
                 turned = weight @ np.linalg.pinv(x[gp].T @ weight)  # W F^-1
                 forces.append(0.5 * np.cross(moment, turned))
         return np.vstack(forces)
+
+
+class Torque(Load):
+    """Moments on blocks that have no gridpoints to take forces (spheres): on their rotational unknowns.
+
+    Parameters
+    ----------
+    dofs : (n,) int array
+        First of the three rotational unknowns of each block.
+    moments : (n, 3) array
+        [N m], global axes.
+    """
+
+    def __init__(self, handle: Any, dofs: np.ndarray, moments: np.ndarray) -> None:
+        super().__init__(handle, np.zeros(0, dtype=np.int64))
+        self.dofs, self.moments = dofs[:, None] + np.arange(3), moments
+
+    def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        """No forces on gridpoints."""
+        return np.zeros((0, 3))
+
+    def turn(self, t: float, f: np.ndarray) -> None:
+        """Add the moments to generalised forces `f`."""
+        f[self.dofs] += self.factor(t) * self.moments
 
 
 class Dashpot(Load):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fdem.contact.carry import present, scatter_between
+from fdem.contact.sphere_readout import forces_between, sphere_table
 from fdem.errors import UnsupportedError
 from fdem.integrate.system import System
 from fdem.model import Model
@@ -153,17 +154,19 @@ class Readout:
         return result
 
     def contact_table(self) -> dict[str, Any]:
-        """Contact points: blocks, joint, normal, gap, area, traction, force, slip, state, position."""
-        contacts = self.system.contacts
+        """Contact points: blocks, joint, normal, gap, area, traction, force, slip, state, failure, position."""
+        contacts, particles = self.system.contacts, self.system.particles
         self.forces()
-        if contacts is None:
-            empty: dict[str, Any] = {
-                name: np.zeros(0, dtype=np.int32) for name in ("block_a", "block_b", "joint", "state")
-            }
-            empty |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
-            empty |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
-            return empty | {"joint_names": self.model.joint_names}
-        table = dict(contacts.table(self.state.x))
+        names = ("block_a", "block_b", "joint", "state", "failure")
+        table: dict[str, Any] = {name: np.zeros(0, dtype=np.int32) for name in names}
+        table |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
+        table |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
+        if contacts is not None:
+            table = dict(contacts.table(self.state.x))
+        if particles is not None:
+            own = sphere_table(particles)
+            own["failure"] = np.zeros(len(own["joint"]), dtype=np.int32)
+            table = {name: np.concatenate([table[name], own[name]]) if name in own else table[name] for name in table}
         table["position"] = table["position"] + self.model.origin
         table["joint_names"] = self.model.joint_names
         return table
@@ -182,6 +185,9 @@ class Readout:
         if contacts is not None:
             self.forces()
             scatter_between(contacts, chosen, total)
+        if self.system.particles is not None:
+            self.forces()
+            forces_between(self.system.particles, chosen, total)
         total[chosen[self.model.gp_block]] = 0.0
         gp = np.flatnonzero(np.any(total != 0.0, axis=1))
         return gp, total[gp]
@@ -220,6 +226,9 @@ class Readout:
         self.forces()
         contacts = system.contacts
         joint, friction, damping = (0.0, 0.0, 0.0) if contacts is None else present(contacts)
+        if system.particles is not None:
+            own = system.particles.present()
+            joint, friction, damping = joint + own[0], friction + own[1], damping + own[2]
         return {
             "kinetic": float(system.kinetic()),
             "strain": float(sum(b.strain_energy(state.q, state.x) for b in model.batches)),

@@ -52,6 +52,10 @@ class BlockView:
                 kind = "fixed" if batch is None else batch.label
                 raise UnsupportedError(f"block {model.names[row]!r} is {kind} and has no {what}")
 
+    def _oriented(self, row: int) -> bool:
+        batch = self._sim.model.batch_of(row)
+        return batch is None or getattr(batch, "oriented", True)
+
     def _zoned(self, what: str) -> None:
         self._only(what, lambda row: bool(self._sim.model.zoned[row]))
 
@@ -105,7 +109,8 @@ class BlockView:
 
     @property
     def rotation(self) -> np.ndarray:
-        """Rotation matrix (3, 3) from the start; zoned blocks: of the mean deformation."""
+        """Rotation matrix (3, 3) from the start; zoned blocks: of the mean deformation; spheres have none."""
+        self._only("orientation (Rigid(orientation=True) keeps it)", self._oriented)
         return self._stack(self._sim.rotations()[self._rows])
 
     @property

@@ -174,7 +174,7 @@ def test_cells_tile_the_layer_below_a_nonconvex_surface(first_is_slave, shape):
         d = [np.minimum.reduce([x - a, b - x, y - c, e - y, z, 0.5 - z]) for a, b, c, e in parts]
         return np.maximum(np.maximum.reduce(d), 0.0)
 
-    for _ in range(25):
+    for _ in range(40):
         c = np.array([g.uniform(-0.02, 1.2), g.uniform(-0.02, 1.0), g.uniform(-0.02, 0.52)])
         slave = move(box(0.1, 0.12, 0.08), rotation(g.normal(size=3), 3.0), c)
         try:
@@ -361,3 +361,24 @@ def test_rock_cut_by_joints_and_a_tunnel_has_no_false_contact(monkeypatch, seed,
     assert any(not shape.is_convex for shape in shapes)
     assert depth < 1e-9
     assert np.abs(missing).max() < 1e-9
+
+
+@pytest.mark.parametrize("zoned", [False, True])
+@pytest.mark.parametrize("shift", [0.0, 1e-9, -1e-9])
+def test_a_face_that_lies_in_a_wall_belongs_to_one_cell(first_is_slave, zoned, shift):
+    """Half an edge's overlap: the slave's face cuts through the master's edge along the bisector. F = kn V along z."""
+    h, length = 0.03, 1.0
+    corner = np.array([1, 0, 1]) - h * np.array([1, 0, 1]) / np.sqrt(2) + shift * np.array([1, 0, -1])
+    slave = move(box(1, length, 1), EDGE, corner - EDGE @ [0.5, 0, -0.5])
+    master = triangulated(box(2, 2, 2)) if zoned else box(2, 2, 2)
+    _, f, _ = resultant(slave, master, affine=[True, not zoned])
+    np.testing.assert_allclose(f, [0, 0, KN * length * h**2 / 2], rtol=0, atol=1e-6 * KN * h**2)
+
+
+def test_a_side_above_a_mesh_line_pushes(first_is_slave):
+    """A vertical side right over a line between two triangles of the floor: its strip balances the one opposite."""
+    floor = grid_box(8, 2, size=(0.4, 0.4, 0.3))
+    for at in (0.15, 0.1500001):
+        block = move(box(0.1, 0.1, 0.1), t=(at, 0.21, 0.35 - 1e-3))
+        _, f, _ = resultant(block, floor, affine=[True, False])
+        np.testing.assert_allclose(f, [0, 0, KN * 1e-3 * 0.01], rtol=0, atol=1e-9 * KN * 1e-5)

@@ -256,12 +256,16 @@ class RigidBlocks:
 
     def _held_by(self, q: Array, springs: Springs) -> tuple[Array, Array | None]:
         """Gridpoint stiffness and (n_blocks, 6, 6) joint stiffness that bound the motion of each block."""
-        if springs.contacts is None:
+        if springs.contacts is None and springs.particles is None:
             return springs.k_gp, None
         place = np.full(len(springs.mobile), -1)
         place[self.rows] = np.arange(self.n_blocks)
         centre = self._q(q)[:, :3]
+        if springs.contacts is None:
+            return springs.bedding, springs.particles.on_blocks(place, centre)
         joints = joint_stiffness(springs.rows, springs.x, springs.gp_block, springs.mobile, place, centre)
+        if springs.particles is not None:
+            joints += springs.particles.on_blocks(place, centre)
         return springs.bedding, joints
 
     def step_bound(self, q: Array, springs: Springs) -> Array:

@@ -19,11 +19,10 @@ __all__ = ["assemble"]
 
 def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
     """Flat arrays, formulations and the state at the start."""
-    n_gp, n_blocks = int(layout.gp_range.max()), len(layout.blocks)
-    X = np.zeros((n_gp, 3))
+    X, n_blocks = np.zeros((int(layout.gp_range.max()), 3)), len(layout.blocks)
     for (start, stop), points in zip(layout.gp_range, layout.points, strict=True):
         X[start:stop] = points
-    notes: list[str] = []
+    notes = list(layout.zone_notes)
     shares = _shares(layout, X, notes, threads)
     batches = {kind: row.make(share) for row, (kind, share) in zip(_present(layout), shares.items(), strict=True)}
     moving = [share for kind, share in shares.items() if not batches[kind].in_place]
@@ -35,7 +34,7 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
     )
     zones, zone_block, zone_start = layout.zones()
     mass = layout.density * layout.volume
-    gp_mass = np.zeros(n_gp)
+    gp_mass = np.zeros(len(X))
     batch_row, batch_index = np.full(n_blocks, -1), np.full(n_blocks, -1)
     centroid = np.array([b.shape.centroid for b in layout.blocks]) - layout.origin
     for number, (kind, batch) in enumerate(batches.items()):
@@ -80,7 +79,10 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
         batches=tuple(batches.values()),
         deformable=batches.get("zoned"),
         gravity=layout.scene.gravity,
-        damping_ratio=max([getattr(rule.law, "damping_ratio", 0.0) for rule in layout.scene.joints], default=0.0),
+        # dashpots of spheres act in the middle of the step and do not shorten it
+        damping_ratio=max(
+            [getattr(rule.law, "damping_ratio", 0.0) for rule in layout.scene.joints if rule.law.for_faces], default=0.0
+        ),
         joint_names=[_joint_name(rule) for rule in layout.scene.joints],
         wave_speed=np.array([_wave_speeds(b, rho) for b, rho in zip(layout.blocks, layout.density, strict=True)]),
         notes=notes,

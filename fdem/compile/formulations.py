@@ -107,6 +107,23 @@ def _rigid(share: Share) -> Any:
     )
 
 
+def _sphere(share: Share) -> Any:
+    from fdem.blocks.spheres import SphereBlocks
+
+    layout = share.layout
+    radius = np.array([layout.blocks[i].shape.radius for i in share.rows])
+    density, volume = layout.density[share.rows], layout.volume[share.rows]
+    least = 1e-30 * float(layout.density.max()) or 1.0
+    return SphereBlocks(
+        centre=share.X[share.gridpoints],
+        radius=radius,
+        mass=np.where(density > 0.0, density, least) * volume,
+        dofs=share.dofs,
+        coords=share.coords,
+        gridpoints=share.gridpoints,
+    )
+
+
 def _uniform(share: Share) -> Any:
     from fdem.blocks.uniform import UniformBlocks
 
@@ -218,6 +235,7 @@ def _zone_density(share: Share) -> np.ndarray:
 # in the order of their unknowns; those whose unknowns are gridpoints come last, in memory that q and x share
 FORMULATIONS = (
     Formulation("rigid", "rigid or driven", 7, 6, _rigid),
+    Formulation("sphere", "spheres without orientation", 3, 6, _sphere),
     Formulation("uniform", "of uniform strain", 12, 12, _uniform),
     Formulation("linear", "of linear strain", 30, 30, _linear),
     Formulation("zoned", "zoned", 0, 0, _zoned),

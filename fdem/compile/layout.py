@@ -8,17 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from fdem.compile.zones import scene_zones
 from fdem.errors import SceneError
 from fdem.scene.boundary import Stress, Velocity
 from fdem.scene.facets import facets
+from fdem.scene.kept import Kept
 from fdem.scene.moments import MassProperties, mass_properties
 from fdem.scene.scene import Applied, Block, Gridpoint, Scene, choose, surface_of
-from fdem.scene.shapes import Surface
+from fdem.scene.shapes import Balls, Sphere, Surface
 
 __all__ = ["Layout", "in_situ", "lay_out"]
 
 # order of gridpoints: those that are unknowns first, in memory that x and q share
-NUMBERED = ("zoned", "rigid", "uniform", "linear", "static")
+NUMBERED = ("zoned", "rigid", "uniform", "linear", "sphere", "static")
 
 
 @dataclass
@@ -30,13 +32,17 @@ class Layout:
     blocks : list of Block
         Blocks in model order.
     kind : list of str
-        "rigid" (with its motion prescribed if the block is fixed), "uniform", "linear", "zoned" or "static".
+        "rigid" (with its motion prescribed if the block is fixed), "sphere", "uniform", "linear", "zoned" or "static".
     meshes : list
         Zone mesh of each zoned block, facets of each block of linear strain, else None.
     loops, loop_tags : list
         Faces of each block as vertex loops (local numbers) with their tags.
     triangles, triangle_tags : list
         Surface triangles of each block (local numbers) with their tags.
+    zone_notes : list of str
+        What is worth telling about the zones.
+    kept : dict
+        Zones by block name that are those of an earlier state, not what the scene would now get.
     """
 
     scene: Scene
@@ -52,6 +58,8 @@ class Layout:
     triangles: list[np.ndarray]
     triangle_tags: list[list[str | None]]
     loads: list[Applied]
+    zone_notes: list[str]
+    kept: dict[str, Any]
 
     def of_kind(self, kind: str) -> list[int]:
         """Model indices of the blocks of one kind, in order."""
@@ -96,8 +104,10 @@ def _extent(block: Block) -> float:
     return float(np.ptp(np.asarray(block.shape.bounds), axis=0).max())
 
 
-def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layout:
+def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied], before: Kept | None = None) -> Layout:
     """Decide how every block moves, subdivide the deformable ones, number gridpoints.
+
+    Blocks that are in `before` with the same shape and body keep the zones they have there, and its origin stays.
 
     Raises
     ------
@@ -110,13 +120,31 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
         raise SceneError("the scene has no block")
     for block in blocks:
         scene.check(block)
-    kind = _kinds(scene, blocks, loads)
+    kinds = dict(zip(everything, _kinds(scene, everything, loads), strict=True))
+    kind = [kinds[block] for block in blocks]
     _refuse_twins(blocks, kind)
     bounds = np.array([block.shape.bounds for block in everything])
-    origin = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0))
-    meshes = _meshes(scene, blocks, kind)
-    points, loops, loop_tags, triangles, triangle_tags = [], [], [], [], []
-    for block, mesh in zip(blocks, meshes, strict=True):
+    # a state that goes on is relative to the origin it had
+    origin = 0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0)) if before is None else before.origin
+    zoned, zone_notes = scene_zones(scene, [block for block in everything if kinds[block] == "zoned"])
+    kept = {} if before is None else before.differing(zoned)
+    if kept:
+        zone_notes = [*zone_notes, f"zones: {len(kept)} blocks keep those they had, which do not fit new neighbours"]
+    surfaces = _facets(scene, blocks, kind)
+    meshes = [kept.get(block.name, zoned.get(block, surfaces.get(block))) for block in blocks]
+    points: list[Any] = []
+    loops: list[Any] = []
+    loop_tags: list[Any] = []
+    triangles: list[Any] = []
+    triangle_tags: list[Any] = []
+    none: list[Any] = []
+    for block, mesh, moves in zip(blocks, meshes, kind, strict=True):
+        if isinstance(block.shape, Balls):
+            points.append(_ball_points(block.shape, moves) - origin)
+            for empty in (loops, loop_tags, triangle_tags):
+                empty.append(none)  # one list for all: there may be many spheres
+            triangles.append(block.shape.triangles)
+            continue
         surface = surface_of(block.shape)
         face_tags = list(surface.face_tags)
         if mesh is None:
@@ -140,8 +168,17 @@ def lay_out(scene: Scene, removed: frozenset[str], loads: list[Applied]) -> Layo
         start += len(points[i])
     index = {block: i for i, block in enumerate(blocks)}
     return Layout(
-        scene, blocks, index, kind, meshes, origin, gp_range, points, loops, loop_tags, triangles, triangle_tags, loads
-    )
+        scene, blocks, index, kind, meshes, origin, gp_range, points, loops, loop_tags, triangles, triangle_tags, loads,
+        zone_notes, kept,
+    )  # fmt: skip
+
+
+def _ball_points(shape: Balls, kind: str) -> np.ndarray:
+    """Gridpoints of spheres and clumps: centres; where they turn as a block also four points not in a plane."""
+    if kind != "rigid":
+        return shape.points
+    frame = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+    return np.concatenate([shape.points, shape.centroid + 0.25 * shape.size * frame])
 
 
 def _refuse_twins(blocks: list[Block], kind: list[str]) -> None:
@@ -170,28 +207,29 @@ def _kinds(scene: Scene, blocks: list[Block], loads: list[Applied]) -> list[str]
                 raise SceneError(f"block {block.name!r}: fix() holds it, but it has a velocity")
             kinds.append("static")
         elif block.fixed:
-            kinds.append("rigid" if moves else "static")
+            kinds.append(_moving_kind(block) if moves else "static")
         else:
-            kinds.append(block.body.kind)
+            kinds.append(_moving_kind(block))
     return kinds
 
 
-def _meshes(scene: Scene, blocks: list[Block], kind: list[str]) -> list[Any]:
-    """Zones or facets of the blocks that need them."""
-    # they belong to the scene, so that an excavation does not subdivide again
-    cache: dict[Any, Any] = scene.__dict__.setdefault("zone_cache", {})
-    zoned = [b for b, k in zip(blocks, kind, strict=True) if k == "zoned"]
-    if any((b, b.shape, b.body) not in cache for b in zoned):
-        from fdem.scene.meshing import zone_meshes
+def _moving_kind(block: Block) -> str:
+    """Formulation of a block that moves."""
+    if isinstance(block.shape, Sphere) and not block.body.orientation:
+        return "sphere"
+    return "rigid" if block.fixed else str(block.body.kind)
 
-        made = zone_meshes([b.shape for b in zoned], [b.body.size for b in zoned])
-        for block, mesh in zip(zoned, made, strict=True):
-            cache[block, block.shape, block.body] = mesh
-    for block, what in zip(blocks, kind, strict=True):
-        if what == "linear" and (block, block.shape, block.body) not in cache:
-            cache[block, block.shape, block.body] = facets(block.shape, block.body.size)
-    own = ("zoned", "linear")
-    return [cache[b, b.shape, b.body] if k in own else None for b, k in zip(blocks, kind, strict=True)]
+
+def _facets(scene: Scene, blocks: list[Block], kind: list[str]) -> dict[Block, Any]:
+    """Facets of the blocks of linear strain; they belong to the scene, so that an excavation divides nothing again."""
+    cache: dict[Any, Any] = scene.__dict__.setdefault("facet_cache", {})
+    result = {}
+    for block in (b for b, what in zip(blocks, kind, strict=True) if what == "linear"):
+        key = block, block.shape, block.body
+        if key not in cache:
+            cache[key] = facets(block.shape, block.body.size)
+        result[block] = cache[key]
+    return result
 
 
 def in_situ(layout: Layout, places: np.ndarray, owner: np.ndarray) -> np.ndarray | None:

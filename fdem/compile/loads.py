@@ -43,7 +43,8 @@ def compile_loads(select: Selector) -> tuple[list[numeric.Load], np.ndarray | No
             boundary.Drag: _drag,
             boundary.Support: _support,
         }
-        result.append(makers.get(type(load), _user)(select, applied))
+        made: Any = makers.get(type(load), _user)(select, applied)
+        result.extend(made if isinstance(made, list) else [made])
     return result, alpha, drags
 
 
@@ -91,17 +92,24 @@ def _mass_shares(select: Selector, applied: Applied) -> tuple[np.ndarray, np.nda
     return np.concatenate(gps), total / total.sum()
 
 
-def _moment(select: Selector, applied: Applied) -> numeric.Load:
+def _moment(select: Selector, applied: Applied) -> list[numeric.Load]:
     """Every block takes a share of the moment by its mass."""
     model, blocks = select.model, select.blocks(applied.target, "Moment")
     value = np.asarray(applied.load.value, dtype=float)
     mass = np.array([max(model.mass[b], np.finfo(float).tiny) for b in blocks])
-    parts = []
+    parts, dofs, turning = [], [], []
     for block, share in zip(blocks, mass / mass.sum(), strict=True):
+        batch = model.batch_of(block)
+        if model.gp_range[block, 1] - model.gp_range[block, 0] == 1:
+            if batch is not None:
+                dofs.append(batch.dofs_of(model.batch_row[block]).start + 3)
+                turning.append(share * value)
+            continue
         gp = np.arange(*model.gp_range[block])
         weights = model.gp_mass[gp] if model.zoned[block] else select.dual(block)
         parts.append((gp, weights, share * value))
-    return numeric.Couple(applied, parts)
+    result: list[numeric.Load] = [numeric.Couple(applied, parts)] if parts else []
+    return [*result, numeric.Torque(applied, np.array(dofs), np.array(turning))] if dofs else result
 
 
 def _traction(select: Selector, applied: Applied) -> numeric.Load:

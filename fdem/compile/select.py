@@ -8,7 +8,7 @@ import numpy as np
 
 from fdem.blocks.conditions import dual, weights_of
 from fdem.compile.layout import Layout
-from fdem.errors import SceneError
+from fdem.errors import SceneError, UnsupportedError
 from fdem.model import Model
 from fdem.scene.scene import Gridpoint, choose
 
@@ -120,6 +120,13 @@ class Selector:
             value = batch.functions((point - batch.centre0[row])[None], np.array([row]))[0]
             return weights_of(batch, row, value)
         gp = np.arange(*model.gp_range[block])
+        if len(gp) == 1:
+            if np.linalg.norm(point - model.X[gp[0]]) > 1e-9 * model.size[block]:
+                raise UnsupportedError(
+                    f"Force: block {model.names[block]!r} is a sphere without orientation, forces act at its centre; "
+                    "Rigid(orientation=True) gives it one"
+                )
+            return gp, np.ones(1)
         chosen = gp[_spread(model.X[gp])]
         corners = model.X[chosen]
         inner = np.linalg.solve((corners[1:] - corners[0]).T, point - corners[0])

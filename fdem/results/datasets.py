@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["STATES", "Cells", "cell_stress", "cells_of", "contacts", "full_tensor", "group_ids", "mesh"]
+__all__ = ["FAILURES", "STATES", "Cells", "cell_stress", "cells_of", "contacts", "full_tensor", "group_ids", "mesh"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 STATES = ("intact", "closed", "slipping", "open")
+FAILURES = ("none", "tension", "shear")
 
 # xx yy zz yz zx xy -> xx xy xz yx yy yz zx zy zz, the order of VTK
 _FULL = np.array([0, 5, 4, 5, 1, 3, 4, 3, 2])
@@ -135,17 +136,18 @@ def contacts(view: Any) -> Any:
         One vertex per contact with ``block_a``, ``block_b``, ``joint`` (numbers), ``normal`` (from a
         to b), ``gap`` [m] (> 0 open), ``area`` [m^2], ``traction`` [Pa] (normal, compression positive,
         and two tangents), ``force`` [N] on block b in global axes, ``slip`` [m], ``state`` (0 intact,
-        1 closed, 2 slipping, 3 open). Field: ``joint_names``, ``state_names``, ``block_names``,
-        ``time`` [s], ``step``.
+        1 closed, 2 slipping, 3 open), ``failure`` of the bond (0 none, 1 tension, 2 shear), and what laws remember by
+        its name. Field: ``joint_names``, ``state_names``, ``failure_names``, ``block_names``, ``time`` [s], ``step``.
     """
     import pyvista as pv
 
     table = view.contact_table()
     points = np.array(table["position"], dtype=np.float64).reshape(-1, 3)
     cloud = pv.PolyData(points) if len(points) else pv.PolyData()
-    for name in ("block_a", "block_b", "joint", "normal", "gap", "area", "traction", "force", "slip", "state"):
+    for name in [key for key in table if key not in ("position", "patch", "frame", "joint_names")]:
         cloud.point_data[name] = np.array(table[name])
-    _describe(cloud, view, joint_names=table["joint_names"], state_names=STATES, block_names=view.model.names)
+    names = {"joint_names": table["joint_names"], "state_names": STATES, "failure_names": FAILURES}
+    _describe(cloud, view, **names, block_names=view.model.names)
     return cloud
 
 

@@ -13,10 +13,18 @@ __all__ = ["BODIES", "LinearStrain", "Rigid", "UniformStrain", "Zoned"]
 
 @dataclass(frozen=True)
 class Rigid:
-    """A perfectly rigid block: six degrees of freedom, translation and rotation of its centroid."""
+    """A perfectly rigid block: six degrees of freedom, translation and rotation of its centroid.
+
+    Parameters
+    ----------
+    orientation : bool, optional
+        Keep the orientation of a sphere, which nothing in its motion depends on; other shapes always have one.
+    """
 
     kind: ClassVar[str] = "rigid"
     deforms: ClassVar[bool] = False
+
+    orientation: bool = False
 
 
 @dataclass(frozen=True)

@@ -173,11 +173,15 @@ def stack(body, n=10):
 
 @pytest.mark.parametrize("body", BODIES)
 def test_stack_forces(body):
-    """N_k = (n - k + 1) m g to 1e-4 at a ratio of 1e-5; closures, settlements, even shares."""
+    """N_k = (n - k + 1) m g to 1e-4 at a ratio of 1e-5; closures, settlements, even shares.
+
+    What is unbalanced adds up over the ten cubes: with zones, where it has one sign while they settle, half the ratio.
+    """
     scene, cubes = stack(body)
     sim = fdem.Simulation(scene, fdem.Relaxation())
     # a ratio for each of ten blocks; that of 30 unknowns counts their internal forces as acting too
-    assert sim.solve(ratio=3e-6 if body == "linear" else 1e-5).converged
+    shares = {"rigid": 1e-5, "linear": 3e-6}
+    assert sim.solve(ratio=shares.get(body, 5e-6)).converged
     below = ["base", *cubes[:-1]]
     weights = 2000 * G * np.arange(10, 0, -1)
     forces = np.array([sim.pair_force(a, b) for a, b in zip(below, cubes, strict=True)])
