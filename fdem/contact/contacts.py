@@ -95,7 +95,7 @@ class Contacts:
         with np.errstate(divide="ignore"):
             self._inverse_gp = np.where(self._mobile_gp, 1.0 / np.asarray(gp_mass, dtype=float), 0.0)
             inverse_block = np.where(np.isfinite(s.mass), 1.0 / s.mass, 0.0)
-        self._inverse_block = np.where((s.affine == 1) | (s.fixed == 1), inverse_block, -1.0)
+        self._inverse_block = np.where((s.whole == 1) | (s.fixed == 1), inverse_block, -1.0)
         self.work = np.zeros(2)
         self.n_detections, self.n_cuts = 0, 0
         self._stored: float | None = 0.0
