@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdem.contact.narrow import Ghosts, Patches
+from fdem.contact.stored import stored_energy
 from fdem.errors import CheckpointError
 from fdem.kernels import joints
 from fdem.kernels import patches as kernels
@@ -83,8 +84,7 @@ def present(c: Contacts) -> tuple[float, float, float]:
     work = c.work.copy()
     joints.total_work(c._area, c._work, work)
     work[0] += 0.5 * float(c._ks @ c._lost)
-    stored = kernels.stored_energy(c._area, c._gap, c._facing, c._memory, c._kn, c._ks, c._active, 0, len(c.patches))
-    return float(stored), float(work[0]), float(work[1])
+    return stored_energy(c, c._memory, c._active), float(work[0]), float(work[1])
 
 
 def scatter_between(c: Contacts, chosen: Any, f_gp: Array) -> None:

@@ -13,6 +13,7 @@ from fdem.contact.broad import REACH, block_skins, candidate_pairs, master_first
 from fdem.contact.history import inherit_history, inherit_laws, known_offsets
 from fdem.contact.laws import LawTable
 from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
+from fdem.contact.stored import slip_energies, stored_energy
 from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
 from fdem.contact.wear import drifted_pairs, worn_pairs
 from fdem.errors import OverlapError, SceneError
@@ -187,7 +188,7 @@ class Contacts:
         worn = worn_pairs(self, x)
         if not worn.any():
             return False
-        self._replace(np.flatnonzero(worn).astype(np.int32), x, self._slip_energies())
+        self._replace(np.flatnonzero(worn).astype(np.int32), x, slip_energies(self))
         return True
 
     def _redo(self, x: Array, refreshed: Any) -> bool:
@@ -210,7 +211,7 @@ class Contacts:
         due[at_new] |= worn[at_old] > 0
         self._orient()
         there = new_index[self.patches.pair] >= 0
-        slip = self._slip_energies()
+        slip = slip_energies(self)
         self._lose_slip(float(slip[~there].sum()))
         slip = slip[there]
         self.patches = self.patches.take(np.flatnonzero(there))
@@ -223,13 +224,6 @@ class Contacts:
         self.n_detections += 1
         self._replace(np.flatnonzero(due).astype(np.int32), x, slip)
         return True
-
-    def _slip_energies(self) -> Array:
-        """Elastic slip energy (n_patches,) of the last committed state [J]."""
-        p = self.patches
-        length = (p.memory_old[:, :3] ** 2).sum(axis=1)
-        energies: Array = 0.5 * self._ks * (self._area * length).reshape(-1, 3).sum(axis=1) * (p.active_old > 0)
-        return energies
 
     def _lose_slip(self, energy: float) -> None:
         """Count elastic slip energy that goes with its patches as dissipated [J] (negative: it came with new ones)."""
@@ -313,12 +307,13 @@ class Contacts:
         ):  # fmt: skip
             np.minimum.at(tolerance, blocks[pair], r)
         self._tolerance = tolerance
-        depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._partner: Ints | None = None
         self._close_arguments = (p.gp, p.start, p.corners, p.offset, p.flags, p.limit, p.ref_points, p.ref_ratio)
-        self._closed = (self._area, self._gap, depth, face_normal)
+        self._closed = (self._area, self._gap, self._depth, face_normal)
         self._rows = (
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
-            self._pair_area, cluster_normal, self._foot, depth, face_normal,
+            self._pair_area, cluster_normal, self._foot, self._depth, face_normal,
         )  # fmt: skip
 
     # ------------------------------------------------------------------ forces
@@ -393,12 +388,7 @@ class Contacts:
     def energy(self) -> float:
         """Elastic energy stored in the joints in the last committed state [J]."""
         if self._stored is None:
-            p = self.patches
-            self._stored = float(
-                kernels.stored_energy(
-                    self._area, self._gap, self._facing, p.memory_old, self._kn, self._ks, p.active_old, 0, len(p)
-                )
-            )
+            self._stored = stored_energy(self, self.patches.memory_old, self.patches.active_old)
         return self._stored
 
     @property

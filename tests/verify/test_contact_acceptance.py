@@ -173,8 +173,8 @@ def rocking(safety, friction=35.0, time=1.0):
 def test_rocking_about_two_axes_loses_energy_only_to_friction(friction):
     """Contact that wanders over three edges: energy never grows, and what is lost is what friction counted.
 
-    The sum closes to what the step leaves, 2e-2 of the height energy at 0.4 of the stable one. In a second friction takes
-    an eighth of it (35 degrees) or nearly all (15 degrees).
+    The sum closes to what the step leaves, 2e-2 of the height energy at 0.4 of the stable one. In a second friction
+    takes an eighth of it (35 degrees) or nearly all (15 degrees).
     """
     coarse, fine = rocking(0.4, friction), rocking(0.1, friction)
     for rows, noise in ((coarse, 2e-2), (fine, 5e-3)):
