@@ -86,6 +86,16 @@ def bonded(kn=1e9, ks=5e8, tan=0.0, shear=np.inf, tension=np.inf):
     return LawTable("bonded", [[kn, ks, tan, shear, tension]])
 
 
+def table(*joints):
+    """One table of joint laws of one kind, as compile makes it; kn and ks must be given."""
+    law, kind = joints[0], type(joints[0])
+    rows = [joint.properties(joint.kn, joint.ks) for joint in joints]
+    if isinstance(law.sweep, str):
+        return LawTable(law.sweep, rows)
+    reach = np.array([joint.reach for joint in joints])
+    return LawTable(law.sweep, rows, tuple(law.memory), frozenset(law.needs), kind.closure, reach)
+
+
 class World:
     """Rigid polyhedra, their contacts, and resultants on them."""
 

@@ -25,7 +25,7 @@ KERNELS = sorted((PACKAGE / "kernels").glob("[!_]*.py"))
 
 BASE = {"errors", "log", "_jit"}
 NUMERIC = {"blocks", "contact", "model", "state", "constraints", "loads"}
-FRONT = {"readout", "stopping", "description", "views", "checkpoint"}
+FRONT = {"readout", "stopping", "description", "views", "checkpoint", "guard"}
 # part of the package -> parts it may import, besides itself; the arrows of the architecture
 ARROWS = {
     "errors": set(),
@@ -45,6 +45,7 @@ ARROWS = {
     "results": BASE | {"model", "state"},
     "readout": BASE | {"model", "state", "contact", "integrate", "results", "description"},
     "stopping": BASE | {"model", "state"},
+    "guard": BASE | {"contact"},
     "description": BASE | {"model", "state", "contact"},
     "views": BASE | {"model", "state", "results"},
     "checkpoint": BASE | {"model", "state", "contact", "scene"},

@@ -223,7 +223,7 @@ def test_cells_tile_the_layer_below_a_nonconvex_surface(first_is_slave, shape):
         d = [np.minimum.reduce([x - a, b - x, y - c, e - y, z, 0.5 - z]) for a, b, c, e in parts]
         return np.maximum(np.maximum.reduce(d), 0.0)
 
-    for _ in range(25):
+    for _ in range(40):
         c = np.array([g.uniform(-0.02, 1.2), g.uniform(-0.02, 1.0), g.uniform(-0.02, 0.52)])
         slave = move(box(0.1, 0.12, 0.08), rotation(g.normal(size=3), 3.0), c)
         try:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from contact_tools import Flight, World, box, coulomb, grid_box, move, prism, rotation
 
-from fdem.contact.stored import slip_energies
+from fdem.contact.response import slip_energies
+from fdem.contact.table import whole_points
 from fdem.errors import CheckpointError, SceneError
 from fdem.kernels import patches as kernels
 
@@ -180,7 +181,7 @@ def test_preload_carries_a_stress():
         gap_tolerance=None,
         prune=1e-4,
     )
-    points = w.contacts.points(w.x)
+    points = whole_points(w.contacts.patches, w.x)
     stress = np.zeros((len(points), 6))
     stress[:, 2] = -2e6 * (1 + 0.1 * points[:, 0])
     stress[:, 4] = 3e5

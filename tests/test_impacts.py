@@ -54,14 +54,14 @@ class Impact:
     `fraction` is dt omega, with omega of the reduced mass on a joint as wide as the smaller block.
     """
 
-    def __init__(self, shapes, g, fraction, densities=(2500.0, 2500.0), **options):
+    def __init__(self, shapes, g, fraction, densities=(2500.0, 2500.0), speed=SPEED, **options):
         a, b = (move(shape, turn(g)) for shape in shapes)
         size = min(np.cbrt(volume_of(*shape)) for shape in shapes)
         height = a[0][:, 2].max() - b[0][:, 2].min() + 0.06 * size
         b = move(b, t=(*g.uniform(-0.25, 0.25, 2) * size, height))
         w = World([a, b], law=coulomb(kn=KN), density=densities, **options)
-        spins = g.normal(size=(2, 3)) * 0.25 * SPEED / size
-        flight = Flight(w, [[0, 0, SPEED / 2], [0, 0, -SPEED / 2]], spins, density=densities)
+        spins = g.normal(size=(2, 3)) * 0.25 * speed / size
+        flight = Flight(w, [[0, 0, speed / 2], [0, 0, -speed / 2]], spins, density=densities)
         reduced, heavy = 1.0 / (1.0 / np.array(flight.m)).sum(), max(flight.m)
         dt = fraction * np.sqrt(reduced / (KN * size**2))
         before, (p0, h0) = flight.kinetic(), flight.momentum()
@@ -75,7 +75,7 @@ class Impact:
                 self.facing = max(self.facing, contacts._facing[closed].max())
                 flight.step(dt)
             elif contacts.n_patches:  # no longer than to the next touch
-                flight.step(dt * np.clip(contacts._gap.min() / (3 * SPEED * dt), 1, 20))
+                flight.step(dt * np.clip(contacts._gap.min() / (3 * speed * dt), 1, 20))
             elif self.hit:
                 self.parted = True
                 break
@@ -83,8 +83,8 @@ class Impact:
                 flight.step(20 * dt)
         p, h = flight.momentum()
         self.loss = abs(flight.kinetic() / before - 1)
-        self.momentum = np.abs(p - p0).max() / (heavy * SPEED)
-        self.angular = np.abs(h - h0).max() / (heavy * SPEED * size)
+        self.momentum = np.abs(p - p0).max() / (heavy * speed)
+        self.angular = np.abs(h - h0).max() / (heavy * speed * size)
 
 
 def checked(impact):
@@ -144,10 +144,12 @@ def test_unequal_blocks(density, scale, roles):
         if roles == "exchanged":
             shapes, densities = shapes[::-1], densities[::-1]
         state = g.bit_generator.state
-        impact = checked(Impact(shapes, g, 0.1, densities, **EXACT))
+        # the arms of the small L are thin: at 2 m/s they would sink in by more than a quarter of their thickness
+        speed = SPEED if scale == 1.0 else 0.5 * SPEED
+        impact = checked(Impact(shapes, g, 0.1, densities, speed, **EXACT))
         assert impact.loss < exact_loss(impact), seed
         g.bit_generator.state = state
-        assert checked(Impact(shapes, g, 0.1, densities, **DEFAULT)).loss < 2e-4, seed
+        assert checked(Impact(shapes, g, 0.1, densities, speed, **DEFAULT)).loss < 2e-4, seed
 
 
 def in_contact(seed, dt, exact=True):

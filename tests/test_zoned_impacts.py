@@ -27,8 +27,8 @@ def momenta(sim):
             own = slice(*model.gp_range[row])
             p, place, spin = model.gp_mass[own, None] * v[own], sim.state.x[own], np.zeros(3)
         else:
-            p = model.mass[row] * sim.block_motion(sim.velocity, row)[0][None]
-            place, spin = sim.centroids()[row], sim.angular_momentum(row)
+            p = model.mass[row] * sim.block_motions(sim.velocity)[0][row][None]
+            place, spin = sim.centroids()[row], sim.angular_momenta()[row]
         total += [p.sum(axis=0), np.cross(place, p).sum(axis=0) + spin]
     return total
 

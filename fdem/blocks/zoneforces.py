@@ -13,7 +13,7 @@ from fdem.kernels import corotated, zones
 if TYPE_CHECKING:
     from fdem.blocks.zoned import ZonedBlocks
 
-__all__ = ["LargeStrain", "SmallStrain", "elasticity", "rotation_vectors", "voigt_strain"]
+__all__ = ["LargeStrain", "SmallStrain", "elasticity", "rotation_vectors", "tensors", "voigt_strain"]
 
 Array = Any
 
@@ -31,6 +31,11 @@ def elasticity(strain: Array, lam: Array, mu: Array) -> Array:
 def voigt_strain(strain: Array) -> Array:
     """Strain vectors (m, 6) xx yy zz yz zx xy with engineering shear of tensors (m, 3, 3)."""
     return strain[:, [0, 1, 2, 1, 2, 0], [0, 1, 2, 2, 0, 1]] * np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+
+
+def tensors(voigt: Array) -> Array:
+    """Symmetric tensors (m, 3, 3) of stresses (m, 6) xx yy zz yz zx xy."""
+    return voigt[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
 
 
 def rotation_vectors(R: Array) -> Array:

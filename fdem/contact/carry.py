@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdem.contact import response
 from fdem.contact.narrow import Ghosts, Patches
-from fdem.contact.stored import stored_energy
 from fdem.errors import CheckpointError
 from fdem.kernels import joints
 from fdem.kernels import patches as kernels
@@ -16,7 +16,7 @@ from fdem.kernels import patches as kernels
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
 
-__all__ = ["adopt", "notes", "present", "reset_slip", "scatter_between"]
+__all__ = ["adopt", "closure", "notes", "present", "reset_slip", "scatter_between"]
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,18 @@ def present(c: Contacts) -> tuple[float, float, float]:
     work = c.work.copy()
     joints.total_work(c._area, c._work, work)
     work[0] += 0.5 * float(c._ks @ c._lost)
-    return stored_energy(c, c._memory, c._active), float(work[0]), float(work[1])
+    return response.stored(c, c._memory, c._active), float(work[0]), float(work[1])
+
+
+def closure(c: Contacts) -> tuple[float, str]:
+    """Largest closure in the last `forces` over the size of the smaller block, and the names of the pair."""
+    p, size = c.patches, c.surfaces.size
+    depth = np.where(c._active > 0, -c._gap.reshape(-1, 3).min(axis=1, initial=0.0), 0.0)
+    relative = depth / np.minimum(size[c.slave], size[c.master])[p.pair]
+    if not len(relative):
+        return 0.0, ""
+    worst = int(np.argmax(relative))
+    return float(relative[worst]), c.pair_names(int(p.pair[worst]))
 
 
 def scatter_between(c: Contacts, chosen: Any, f_gp: Array) -> None:
@@ -104,12 +115,19 @@ def reset_slip(c: Contacts) -> None:
 def notes(c: Contacts) -> list[str]:
     """What the contact layer found and does, one fact a line."""
     report = c.report
+    deepest, names = closure(c)
     lines = [
         f"contacts: {int(report.get('pairs', 0))} pairs near each other at compile, {c.n_patches} patches now, "
         f"{int(c._active.sum())} closed",
         f"reference gap: {int(report.get('gaps closed', 0))} patches taken as closed, "
         f"largest gap {report.get('largest gap / size', 0.0):.2g} of the block size",
     ]
+    if deepest > 0.0:
+        lines.append(f"closure: at most {deepest:.2g} of the block size now, between {names}")
     if not c._damped:
         lines.append("contact damping: left out, no joint asks for it")
+    if not c._armed:
+        lines.append("contact moments: left out, no joint asks for them")
+    if c.curved:
+        lines.append("joints that stiffen as they close: the step follows their tangent and how fast they close")
     return lines

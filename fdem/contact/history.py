@@ -67,7 +67,7 @@ def inherit_laws(old: Patches, new: Patches, n_faces: int) -> Any:
 
 
 def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) -> Array:
-    """Fill points, activity and memory of `new` patches from `old` ones of the same pairs (CONTACT.md 3.7).
+    """Fill points, activity, memory and failures of `new` patches from `old` ones of the same pairs (CONTACT.md 3.7).
 
     Returns
     -------
@@ -96,4 +96,13 @@ def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) ->
         new.pair, new.face_s, new.face_m, new.gp, new.points_old, new.active_old, new.memory_old, old.pair, old.face_s,
         old.face_m, old.gp, old.points_old, old.active_old, old.memory_old, x,
     )  # fmt: skip
+    # failures stay with two faces; where a face meets a new one without a bond, what has failed on it goes along
+    old_face = old.pair.astype(np.int64) * surfaces.n_faces + old.face_s
+    new_face = new.pair.astype(np.int64) * surfaces.n_faces + new.face_s
+    begin, end = (np.searchsorted(old_face, new_face, side=side) for side in ("left", "right"))
+    worst = np.zeros(len(old) + 1, np.uint8)
+    np.maximum.at(worst, np.searchsorted(old_face, old_face), old.failure.max(axis=1, initial=0))
+    new.failure[found] = old.failure[at[found]]
+    loose = (new.failure == 0) & (new.memory_old[:, 3].reshape(-1, 3) <= 0.0) & (end > begin)[:, None]
+    new.failure[loose] = np.repeat(worst[begin], 3).reshape(-1, 3)[loose]
     return area

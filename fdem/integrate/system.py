@@ -10,8 +10,9 @@ import numpy as np
 
 from fdem.blocks.bounds import Springs
 from fdem.constraints import Constraints
+from fdem.contact.wear import refuse_leaps
 from fdem.errors import UnstableError
-from fdem.loads import Bedding, Dashpot, Load
+from fdem.loads import Bedding, Dashpot, Load, Torque
 from fdem.model import Model
 from fdem.state import State
 
@@ -27,8 +28,8 @@ class System:
     ----------
     model, state : Model, State
         What compile made.
-    contacts : Contacts or None
-        The contact layer.
+    contacts, particles : Contacts or None, SphereContacts or None
+        The contact layer; contacts with a sphere in them.
     constraints : Constraints
         Fixed and prescribed components.
     loads : list of Load
@@ -44,12 +45,13 @@ class System:
         model: Model,
         state: State,
         contacts: Any,
+        particles: Any,
         constraints: Constraints,
         loads: list[Load],
         alpha: np.ndarray | None,
         energy: bool = True,
     ) -> None:
-        self.model, self.state, self.contacts = model, state, contacts
+        self.model, self.state, self.contacts, self.particles = model, state, contacts, particles
         self.constraints, self.loads, self.alpha = constraints, loads, alpha
         self.rate: Any = alpha  # all mass-proportional damping, that of the integrator included [1/s]
         self.lag = 0.0  # time by which v is behind q: 0 before the first step, then half a step [s]
@@ -72,10 +74,16 @@ class System:
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
         self._first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
-        self._keeps_old = contacts is not None or self._load_old is not None
+        self.stiffening = contacts is not None and contacts.curved  # joints whose stiffness grows as they close
+        self._torques = [load for load in loads if isinstance(load, Torque)]
+        self._turning = np.zeros_like(state.v) if self._torques else None
+        self._turning_old = np.zeros_like(state.v) if self._torques and energy else None
+        self._spun = np.zeros_like(state.v) if self._torques and energy else None
+        self._keeps_old = contacts is not None or particles is not None or self._load_old is not None
         self.weight = self._weight()
+        self.weigh()
         self._terms = self._choose_terms()
-        self._held = constraints.held() if constraints.moving else None
+        self._smallest = float(model.size[~model.fixed].min(initial=np.inf))
 
     def _choose_terms(self) -> tuple[Callable[[], None], ...]:
         """The force terms this scene needs, in order."""
@@ -83,12 +91,15 @@ class System:
         terms: list[Callable[[], None]] = []
         if self.contacts is not None:
             terms.append(lambda: self.contacts.forces(state.x, state.x_old, self._real_dt, state.f_gp))
+        if self.particles is not None:
+            terms.append(lambda: self.particles.forces(state.x, state.x_old, self._real_dt, state.f_gp, state.f))
+        if terms:
             for batch in self.model.batches:
                 if not batch.in_place:
                     terms.append(partial(batch.pull, state.q, state.f_gp, state.f))
         for batch in self.model.batches:
             if batch.has_internal:
-                terms.append(partial(batch.internal, state.x, state.f))
+                terms.append(partial(batch.internal, state.q, state.x, state.f))
         terms.append(self._keep_elastic)
         if self.loads:
             terms.append(self._add_loads)
@@ -117,6 +128,11 @@ class System:
             load.add(state.t, state.step, state.x, self.xdot, total)
         for batch in self.model.batches:
             batch.pull(state.q, total, state.f)
+        if self._turning is not None:
+            self._turning.fill(0.0)
+            for torque in self._torques:
+                torque.turn(state.t, self._turning)
+            state.f += self._turning
 
     def forces(self) -> np.ndarray:
         """Generalised forces f(t, q, v) of the present configuration [N, N m]."""
@@ -131,10 +147,19 @@ class System:
 
     def accelerate(self, f: np.ndarray) -> np.ndarray:
         """Accelerations M^-1 f with the constrained part set to zero."""
+        if self.constraints.coupled:
+            f = self.constraints.carried_off(f)
         for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
             batch.accelerate(self.state.q, f, self.a, scaled)
-        self.constraints.release(self.a)
+        self.constraints.still(self.a)
         return self.a
+
+    def resist(self, share: float, f: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Forces that resist the motion `v`, a `share` of the forces `f` by components (n_dofs,)."""
+        result = np.empty_like(f)
+        for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
+            batch.resist(self.state.q, f, v, share, result, scaled)
+        return result
 
     def prescribe(self, dt: float) -> None:
         """Give constrained velocities their values in the middle of the step of length `dt` [s]."""
@@ -145,12 +170,16 @@ class System:
         self.work += self.pending_work()
         if self._load_old is not None:
             self._load_old[:] = self.f_load
+        if self._turning_old is not None:
+            self._turning_old[:] = self._turning
         if self._reaction_old is not None:
             self._reaction_old[:] = self.state.f
         if self.elastic is not None:
             self.elastic, self.elastic_old = self.elastic_old, self.elastic
         if self.contacts is not None:
             self.contacts.commit()
+        if self.particles is not None:
+            self.particles.commit()
         if self._keeps_old:
             self.state.x_old[:] = self.state.x
 
@@ -160,22 +189,32 @@ class System:
         if self._load_old is not None and self.state.step > 0:
             moved = self.state.x - self.state.x_old
             work += 0.5 * float(np.vdot(self._load_old + self.f_load, moved))
-        if self._reaction_old is not None and self._held is not None and self.state.step > 0:
-            held = self._held
-            work -= 0.5 * self.dt * float((self._reaction_old + self.state.f)[held] @ self.state.v[held])
+        if self._turning_old is not None and self.state.step > 0:
+            work += 0.5 * float((self._turning_old + self._turning) @ self._spun)
+        if self._reaction_old is not None and self.state.step > 0:
+            given = self.constraints.given(self.state.v)
+            work -= 0.5 * self.dt * float((self._reaction_old + self.state.f) @ given)
         return work
 
     def advance(self, dt: float) -> None:
         """Move the configuration by `dt` [s] with the present velocities; look for contacts if due."""
         state = self.state
+        aims = [group.aim(state.q, state.v, dt) for group in self.constraints.coupled]
+        if self._spun is not None:
+            np.multiply(state.v, dt, out=self._spun)
+        for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
+            batch.advance(state.q, state.v, dt, scaled)
+        for group, aim in zip(self.constraints.coupled, aims, strict=True):
+            group.meet(state.q, aim)
         for batch in self.model.batches:
-            batch.advance(state.q, state.v, dt)
             batch.place(state.q, state.x)
-        state.t += dt
-        state.step += 1
+        state.t, state.step = state.t + dt, state.step + 1
         self.dt = dt
         self.current = False
-        if self.contacts is not None and self.contacts.update(state.x):
+        if self.contacts is not None and (self.contacts.update(state.x) or self.contacts.stiffer):
+            self.stale = True
+            refuse_leaps(self.contacts, state.x_old, state.x)
+        if self.particles is not None and self.particles.update(state.x, state.x_old, state.v, dt):
             self.stale = True
 
     def velocity(self) -> np.ndarray:
@@ -189,8 +228,8 @@ class System:
         else:
             half = 0.5 * self.lag * self.rate
             v = ((1.0 - half) * self.state.v + self.lag * self.a) / (1.0 + half)
-        if self._held is not None:
-            v[self._held] = self.state.v[self._held]
+        if self.constraints.moving:
+            self.constraints.keep(v, self.state.v)
         return v
 
     def springs(self) -> Springs:
@@ -199,10 +238,26 @@ class System:
         for load in self.loads:
             if isinstance(load, Bedding):
                 bedding[load.gp] += np.linalg.norm(load.matrices, 2, axis=(1, 2))
-        return Springs(self.state.x, bedding, self.contacts, self.model.gp_block, ~self.model.fixed)
+        particles = None
+        if self.particles is not None:
+            particles = self.particles.springs(self.state.x, self._speeds())
+            bedding += particles.on_faces(len(bedding))
+        return Springs(self.state.x, bedding, self.contacts, self.model.gp_block, ~self.model.fixed, particles)
+
+    def _speeds(self) -> np.ndarray:
+        """Gridpoint velocities (n_gp, 3) [m/s]; zero in fictitious time."""
+        speed = np.zeros_like(self.state.x)
+        if not self.fictitious:
+            for batch in self.model.batches:
+                batch.push(self.state.q, self.state.v, speed)
+        return speed
 
     def stiffened(self) -> bool:
         """Whether contact stiffness grew by 2 % of its block's largest anywhere, or halved in all, since last asked."""
+        if self.particles is not None and self.particles.stiffened(self._speeds()):
+            return True
+        if self.contacts is None:
+            return False
         k, model = self.springs().k_gp, self.model
         if self._k_used is not None:
             largest = np.zeros(model.n_blocks)
@@ -214,12 +269,80 @@ class System:
 
     def unseen_motion(self) -> float:
         """Longest step [s] in which no block moves so far that a stiff contact goes unseen; infinite at rest."""
-        speed = np.zeros_like(self.state.x)
+        speed, faced = self._pushed(self.state.v), np.ones(self.model.n_blocks, dtype=bool)
+        unseen = np.inf
+        if self.particles is not None:
+            faced[self.particles.particles.block] = False
+            unseen = self.particles.unseen_motion(speed)
+        if not faced.any():
+            return unseen
+        square = np.einsum("ni,ni->n", speed, speed) * faced[self.model.gp_block]
+        fastest = float(np.sqrt(square.max(initial=0.0)))
+        size = float(self.model.size[faced & ~self.model.fixed].min(initial=np.inf))
+        return min(unseen, MOTION * size / fastest) if fastest > 0.0 else unseen
+
+    def slow_down(self, dt: float) -> None:
+        """Take away from the velocities what would move a block by more than MOTION of its size in `dt`."""
+        state, model = self.state, self.model
+        if dt * self._speed_bound() <= MOTION * self._smallest:
+            return
+        speed = self._pushed(state.v)
+        path = dt * np.sqrt(np.einsum("ni,ni->n", speed, speed))
+        if not (path > MOTION * model.size[model.gp_block]).any():
+            return
+        longest = np.zeros(model.n_blocks)
+        np.maximum.at(longest, model.gp_block, path)
+        factor = np.minimum(1.0, MOTION * model.size / np.maximum(longest, np.finfo(float).tiny))
+        before = self.scaled_kinetic(state.v)
+        for batch in model.batches:
+            rows = model.gp_block[batch.gridpoints] if batch.in_place else batch.rows
+            v = state.v[batch.dofs].reshape(len(rows), -1)
+            v *= factor[rows][:, None]
+        self.damped += 0.5 * (before - self.scaled_kinetic(state.v))
+
+    def _speed_bound(self) -> float:
+        """At least the largest speed of any gridpoint [m/s]."""
+        bound, speed = 0.0, np.zeros_like(self.state.x)
         for batch in self.model.batches:
-            batch.push(self.state.q, self.state.v, speed)
-        fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
-        size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
-        return MOTION * size / fastest if fastest > 0.0 else np.inf
+            if batch.in_place:
+                bound = max(bound, 2.0 * float(np.abs(self.state.v[batch.dofs]).max(initial=0.0)))  # 2 > sqrt(3)
+            else:
+                batch.push(self.state.q, self.state.v, speed)
+                own = speed[batch.gridpoints]
+                bound = max(bound, float(np.sqrt(np.einsum("ni,ni->n", own, own).max(initial=0.0))))
+        return bound
+
+    def safe_closing(self) -> float:
+        """Longest step t [s] in which no joint that stiffens closes further than it can take; kicks last lag + t/2."""
+        a = self._pushed(self.accelerate(self.forces()))
+        speed = self._pushed(self.state.v) + self.lag * a
+        return float(self.contacts.pace(speed, 0.5 * a).min(initial=np.inf))
+
+    def _pushed(self, v: np.ndarray) -> np.ndarray:
+        """Values at gridpoints (n_gp, 3) of generalised velocities or accelerations."""
+        result = np.zeros_like(self.state.x)
+        for batch in self.model.batches:
+            batch.push(self.state.q, v, result)
+        return result
+
+    def brake(self, dt: float) -> None:
+        """Slow down blocks that would close a stiffening joint further than it can take in `dt`; fictitious time only.
+
+        Parameters
+        ----------
+        dt : float
+            The step to come.
+        """
+        speed = self._pushed(self.state.v)
+        share = np.minimum(self.contacts.pace(speed, np.zeros_like(speed)) / dt, 1.0)
+        if (share == 1.0).all():
+            return
+        v, before = self.state.v, self.scaled_kinetic(self.state.v)
+        for batch in self.model.batches:
+            owner = self.model.gp_block[batch.gridpoints] if batch.in_place else batch.rows
+            mine = v[batch.dofs].reshape(len(owner), -1)
+            mine *= share[owner][:, None]
+        self.damped += 0.5 * (before - self.scaled_kinetic(v))
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""
@@ -230,17 +353,13 @@ class System:
         return result
 
     def dashpot_rate(self) -> float:
-        """Bound of the decay rate 2 zeta omega [1/s] that dashpots on faces give a gridpoint."""
+        """Bound of the decay rate 2 zeta omega [1/s] that dashpots on faces give a gridpoint or a block."""
         rate = 0.0
         for load in self.loads:
             if isinstance(load, Dashpot):
-                strength = np.linalg.norm(load.matrices, 2, axis=(1, 2))
-                movable = self.model.gp_mass[load.gp] > 0
-                # the gridpoints of a block that moves as a whole share its mass; 4 covers its rotation
-                owner = self.model.gp_block[load.gp]
-                per_block = np.bincount(owner, strength, self.model.n_blocks)
-                lumped = np.where(load.gp < self._first_pulled, strength, 4.0 * per_block[owner])
-                rate = max(rate, float((lumped[movable] / self.model.gp_mass[load.gp][movable]).max(initial=0.0)))
+                strength = np.zeros(len(self.model.X))
+                strength[load.gp] = np.linalg.norm(load.matrices, 2, axis=(1, 2))
+                rate = max([rate, *(batch.decay_bound(self.state.q, strength) for batch in self.model.batches)])
         return rate
 
     @property
@@ -259,6 +378,18 @@ class System:
         self.fictitious = True
         springs = self.springs()
         self.scaled = [batch.scaled_masses(self.state.q, springs, swing) for batch in self.model.batches]
+        self.weigh()
+
+    def weigh(self) -> None:
+        """Tell conditions on blocks whose mass couples their unknowns what that mass is, and the blocks of them."""
+        if not self.constraints.coupled:
+            return
+        q, springs = self.state.q, self.springs()
+        for group in self.constraints.coupled:
+            batch, scaled = self.model.batch_of(group.block), self.scaled[self.model.batch_index[group.block]]
+            row = int(self.model.batch_row[group.block])
+            group.weigh(batch.inverse_mass(row, q, scaled))
+            batch.confine(row, q, group.rows, springs, scaled)
 
     def scaled_kinetic(self, v: np.ndarray) -> float:
         """``v.M v`` with the fictitious masses."""
@@ -273,8 +404,8 @@ class System:
     def kinetic(self) -> float:
         """Kinetic energy [J] of what is free to move, at the time of the configuration."""
         v = self.velocity()
-        if self._held is not None:
-            v[self._held] = 0.0
+        if self.constraints.moving:
+            v -= self.constraints.given(v)
         return sum(batch.kinetic(self.state.q, v) for batch in self.model.batches)
 
     def ratio(self) -> float:
@@ -284,11 +415,15 @@ class System:
         self.constraints.release(unbalanced)
         pushes = np.linalg.norm(self.state.f_gp, axis=1)
         pushes[: self._first_pulled] = 0.0  # there f_gp is the sum of all forces
+        if self.particles is not None:
+            self.particles.add_pushes(pushes)
         if self.f_load is not None:
             pushes += np.linalg.norm(self.f_load, axis=1)
         gravity = float(np.linalg.norm(self.model.gravity))
         pairs = zip(self.model.batches, self.scaled, strict=True)
-        shares = [batch.unbalance(self.state.x, unbalanced, pushes, gravity, scaled) for batch, scaled in pairs]
+        shares = [
+            batch.unbalance(self.state.q, self.state.x, unbalanced, pushes, gravity, scaled) for batch, scaled in pairs
+        ]
         return max(shares, default=0.0)
 
     def check(self) -> None:

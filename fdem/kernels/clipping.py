@@ -1,8 +1,7 @@
 """The clip that makes contact patches: surfaces of slaves cut by the depth cells of masters (CONTACT.md 3.1-3.3).
 
-A polygon on a slave face lives in the face's reference triangle: a corner is (w1, w2), the weights of the second
-and third reference gridpoint. A linear function in space is, on the face, given by its three values there; clipping
-a polygon by a plane needs nothing else. The same numbers hold in every affinely deformed position.
+A polygon on a slave face lives in the face's reference triangle: a corner is (w1, w2), the weights of the second and
+third reference gridpoint. A linear function in space is given on the face by its three values there: all a clip needs.
 
 The depth field of a master is ``d(x) = min over its faces g with x in R_g of n_g . (c_g - x)``. For convex masters
 ``R_g`` is everything, so cells are bounded by the bisectors with all other faces. For other masters ``R_g`` is bounded
@@ -308,16 +307,15 @@ def _bounds(bufs, work, n_pieces, xs, df, box):
 
 @kernel
 def _rivals(
-    f, m, xs, df, h, snap, n_pieces, convex, affine, face_start, corner_start, corner_x, normal, wall, kind, lower,
-    upper, bufs, work, tmp, part, dg, v, o, box,
+    f, around, xs, df, h, snap, n_pieces, convex, affine, all_faces, corner_start, corner_x, normal, wall, kind,
+    lower, upper, bufs, work, tmp, part, dg, v, o, box,
 ):  # fmt: skip
-    """Take away what other faces of the master are nearer to; number of pieces, margin and miss as in `_own_cell`."""
+    """Take away what the faces `around` of the master are nearer to; number of pieces, margin, miss as `_own_cell`."""
     margin, miss = np.inf, np.inf
     near = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
     lo0, lo1, lo2 = box[0, 0] - near, box[0, 1] - near, box[0, 2] - near
     hi0, hi1, hi2 = box[1, 0] + near, box[1, 1] + near, box[1, 2] + near
-    all_faces = convex and face_start[m + 1] - face_start[m] <= 32
-    for g in range(face_start[m], face_start[m + 1]):
+    for g in around:
         if g == f or (not all_faces and (
             lower[g, 0] > hi0 or lower[g, 1] > hi1 or lower[g, 2] > hi2
             or upper[g, 0] < lo0 or upper[g, 1] < lo1 or upper[g, 2] < lo2
@@ -468,17 +466,17 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
 
 @kernel
 def clip_faces(
-    pair_start, faces, master, window, size, max_corners, face_start, corner_start, corner_w, ref, limit, convex,
-    affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
+    pair_start, faces, rival_start, rivals, master, window, size, most, max_corners, face_start, corner_start, corner_w,
+    ref, limit, convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
 ):  # fmt: skip
     """Cut faces of slaves by the depth cells of faces of masters: the patches of the pairs.
 
     | argument | shape | unit | |
     |---|---|---|---|
-    | pair_start, faces | (n_pairs + 1,), (n, 2) | - | from `geometry.face_pairs` |
+    | pair_start, faces, rival_start, rivals | | - | from `geometry.face_pairs` |
     | master | (n_pairs,) | - | block ids |
     | window | (n_pairs,) | m | patches are made up to this gap |
-    | size | (n_pairs,) | m | size of the smaller block |
+    | size, most | (n_pairs,) | m | size of the smaller block, largest depth that either block admits |
     | others | | | arrays of `Surfaces` and `FaceGeometry` |
 
     Returns
@@ -506,9 +504,11 @@ def clip_faces(
     for p in range(n_pairs):
         m, h, snap = master[p], window[p], SNAP * size[p]
         prove = not convex[m] and not is_open[m]
+        around = rivals[rival_start[p] : rival_start[p + 1]]
+        all_faces = len(around) == face_start[m + 1] - face_start[m]
         for row in range(pair_start[p], pair_start[p + 1]):
             a, f = faces[row, 0], faces[row, 1]
-            count, triangle = _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, df, poly, tmp)
+            count, area = _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, df, poly, tmp)
             if count == 0:
                 continue
             n_pieces, margin, lost = _own_cell(
@@ -516,19 +516,19 @@ def clip_faces(
             )
             if n_pieces > 0:
                 n_pieces, nearest, lost = _rivals(
-                    f, m, xs, df, h, snap, n_pieces, convex[m], affine[m], face_start, corner_start, corner_x, normal,
-                    wall, kind, lower, upper, bufs, work, tmp, part, dg, v, o, box,
+                    f, around, xs, df, h, snap, n_pieces, convex[m], affine[m], all_faces, corner_start, corner_x,
+                    normal, wall, kind, lower, upper, bufs, work, tmp, part, dg, v, o, box,
                 )  # fmt: skip
                 margin = min(margin, nearest)
             if n_pieces == 0 and lost < miss[p]:
                 miss[p] = lost
                 miss_face[p, 0], miss_face[p, 1] = a, f
-            smallest = 1e-12 * size[p] * size[p] / triangle
+            smallest = 1e-12 * size[p] * size[p] / area
             for q in range(n_pieces):
                 count, answer = 0, 0
                 if work[q] > 0:
                     count, answer = _within_limit(
-                        f, m, xs, df, min(limit[f], size[p]), bufs[q], work[q], FALSE_DEPTH * size[p], smallest, snap,
+                        f, m, xs, df, min(limit[f], most[p]), bufs[q], work[q], FALSE_DEPTH * size[p], smallest, snap,
                         prove, affine[m], face_start, corner_start, corner_x, normal, lower, upper, part, tmp, o,
                     )  # fmt: skip
                 if answer == 1:

@@ -1,6 +1,6 @@
 """Kernels over the history of contact points: carried along every step, inherited at a cut (CONTACT.md 3.7).
 
-Rows 3 i .. 3 i + 2 are the points of patch i. Columns 0-2 are elastic slip [m], 3 a flag, 4 slip distance, 5 dilation.
+Rows 3 i .. 3 i + 2 are the points of patch i. Columns 0-2 are elastic slip [m], 3 a bond, 4 slip distance, 5 dilation.
 """
 
 from __future__ import annotations
@@ -165,8 +165,8 @@ def inherit(
     """History of new patches from the old ones, which are sorted by pair and slave face (CONTACT.md 3.7).
 
     The same faces: the linear field of the old points. Else the nearest old point on faces that continue these two, so
-    that contact goes on across the lines of a mesh; else the nearest on the same slave face. The flag (column 3) stays
-    with its two faces. `active` (n,) becomes 0 where nothing is inherited.
+    that contact goes on across the lines of a mesh; else the nearest on the same slave face. A bond (column 3) stays
+    with its two faces, its failure goes along. `active` (n,) becomes 0 where nothing is inherited.
     """
     n, m = len(gp), len(gp_old)
     place, normal, size2 = np.empty((n, 3, 3)), np.empty((n, 2, 3)), np.empty(n)
@@ -199,7 +199,7 @@ def inherit(
                 for k in range(memory.shape[1]):
                     memory[row, k] = memory_old[best, k]
                 if face_m_old[best // 3] != face_m[i] or face_s_old[best // 3] != face_s[i]:
-                    memory[row, 3] = 0.0
+                    memory[row, 3] = min(memory[row, 3], 0.0)
                 found = True
         if not found:
             active[i] = 0

@@ -12,6 +12,7 @@ import numpy as np
 from fdem._jit import kernel
 
 WHOLE, FACING, DILATES, FLAT = 1, 2, 8, 16  # bits of a patch's flags; FLAT: face against face
+AJAR = 64  # open at its cut and wider than the faces: cut anew when it closes
 ALIGNED = 0.99  # -n_a.n_f above which a patch keeps the normal of its master face
 STRIP = 0.02  # part of the pressure along the friction normal below which there is no friction
 
@@ -273,5 +274,7 @@ def stored_energy(area, gap, push_align, memory, kn, ks, active, lo, hi):
             continue
         for row in range(3 * i, 3 * i + 3):
             s = memory[row, 0] ** 2 + memory[row, 1] ** 2 + memory[row, 2] ** 2
-            total += 0.5 * area[row] * (kn[i] * gap[row] ** 2 * push_align[i] + ks[i] * s)
+            # not where a bond has failed and the faces stand apart
+            normal = kn[i] * gap[row] ** 2 * push_align[i] if gap[row] < 0.0 or memory[row, 3] > 0.0 else 0.0
+            total += 0.5 * area[row] * (normal + ks[i] * s)
     return total

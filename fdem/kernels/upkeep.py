@@ -8,7 +8,7 @@ import numpy as np
 
 from fdem._jit import kernel
 
-FLAT = 16  # bit of a patch's flags, see kernels/patches.py
+FLAT, AJAR = 16, 64  # bits of a patch's flags, see kernels/patches.py
 
 
 @kernel
@@ -37,6 +37,30 @@ def block_motion(surface_gp, surface_start, x, x_ref, out):
             if not s <= far:
                 far = s
         out[b] = math.sqrt(far)
+
+
+@kernel
+def closing(gp, pair, flags, start, corners, offset, x, out):
+    """Mark pairs (n_pairs,) uint8 one of whose patches flagged AJAR has closed; returns whether there are any."""
+    found = False
+    for i in range(len(gp)):
+        if not flags[i] & AJAR:
+            continue
+        a, b, c = gp[i, 3], gp[i, 4], gp[i, 5]
+        ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        vx, vy, vz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        scale = math.sqrt(nx * nx + ny * ny + nz * nz)
+        p, q, r = gp[i, 0], gp[i, 1], gp[i, 2]
+        d0 = (nx * (x[a, 0] - x[p, 0]) + ny * (x[a, 1] - x[p, 1]) + nz * (x[a, 2] - x[p, 2])) / scale - offset[i, 0]
+        d1 = (nx * (x[a, 0] - x[q, 0]) + ny * (x[a, 1] - x[q, 1]) + nz * (x[a, 2] - x[q, 2])) / scale - offset[i, 1]
+        d2 = (nx * (x[a, 0] - x[r, 0]) + ny * (x[a, 1] - x[r, 1]) + nz * (x[a, 2] - x[r, 2])) / scale - offset[i, 2]
+        for k in range(start[i], start[i + 1]):
+            if d0 * (1.0 - corners[k, 0] - corners[k, 1]) + d1 * corners[k, 0] + d2 * corners[k, 1] > 0.0:
+                out[pair[i]] = 1
+                found = True
+                break
+    return found
 
 
 @kernel

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["STATES", "Cells", "cell_stress", "cells_of", "contacts", "full_tensor", "group_ids", "mesh"]
+__all__ = ["FAILURES", "STATES", "Cells", "cell_stress", "cells_of", "contacts", "full_tensor", "group_ids", "mesh"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 STATES = ("intact", "closed", "slipping", "open")
+FAILURES = ("none", "tension", "shear")
 
 # xx yy zz yz zx xy -> xx xy xz yx yy yz zx zy zz, the order of VTK
 _FULL = np.array([0, 5, 4, 5, 1, 3, 4, 3, 2])
@@ -29,6 +30,8 @@ class Cells:
         Gridpoints of the zones.
     triangles : (k, 3) int32 array
         Gridpoints of the surface triangles of the blocks that have no zones.
+    surface : (k,) int32 array
+        Their rows among the surface triangles of the model.
     block : (m + k,) int32 array
         Block of each cell.
     group : (m + k,) int32 array
@@ -39,6 +42,7 @@ class Cells:
 
     zones: Ints
     triangles: Ints
+    surface: Ints
     block: Ints
     group: Ints
     groups: list[str]
@@ -58,7 +62,8 @@ def cells_of(model: Any) -> Cells:
     block = np.concatenate([model.zone_block, model.triangle_block[bare]]).astype(np.int32)
     group, groups = group_ids(model)
     zones = np.asarray(model.zones, dtype=np.int32).reshape(-1, 4)
-    return Cells(zones, np.asarray(model.triangles[bare], dtype=np.int32), block, group[block], groups)
+    surface = np.flatnonzero(bare).astype(np.int32)
+    return Cells(zones, np.asarray(model.triangles[bare], dtype=np.int32), surface, block, group[block], groups)
 
 
 def full_tensor(voigt: Array) -> Array:
@@ -70,11 +75,11 @@ def full_tensor(voigt: Array) -> Array:
 
 
 def cell_stress(view: Any, cells: Cells) -> Array:
-    """Cauchy stress of each cell [Pa], tension positive, (n_cells, 6): the zone's, or its block's."""
+    """Cauchy stress of each cell [Pa], tension positive, (n_cells, 6): the zone's, or its block's in that place."""
     stress = np.empty((len(cells.block), 6))
     m = len(cells.zones)
     stress[:m] = view.zone_stresses() if m else 0.0
-    stress[m:] = view.block_stress()[cells.block[m:]]
+    stress[m:] = view.surface_stress(cells.surface)
     return stress
 
 
@@ -131,17 +136,18 @@ def contacts(view: Any) -> Any:
         One vertex per contact with ``block_a``, ``block_b``, ``joint`` (numbers), ``normal`` (from a
         to b), ``gap`` [m] (> 0 open), ``area`` [m^2], ``traction`` [Pa] (normal, compression positive,
         and two tangents), ``force`` [N] on block b in global axes, ``slip`` [m], ``state`` (0 intact,
-        1 closed, 2 slipping, 3 open). Field: ``joint_names``, ``state_names``, ``block_names``,
-        ``time`` [s], ``step``.
+        1 closed, 2 slipping, 3 open), ``failure`` of the bond (0 none, 1 tension, 2 shear), and what laws remember by
+        its name. Field: ``joint_names``, ``state_names``, ``failure_names``, ``block_names``, ``time`` [s], ``step``.
     """
     import pyvista as pv
 
     table = view.contact_table()
     points = np.array(table["position"], dtype=np.float64).reshape(-1, 3)
     cloud = pv.PolyData(points) if len(points) else pv.PolyData()
-    for name in ("block_a", "block_b", "joint", "normal", "gap", "area", "traction", "force", "slip", "state"):
+    for name in [key for key in table if key not in ("position", "patch", "frame", "joint_names")]:
         cloud.point_data[name] = np.array(table[name])
-    _describe(cloud, view, joint_names=table["joint_names"], state_names=STATES, block_names=view.model.names)
+    names = {"joint_names": table["joint_names"], "state_names": STATES, "failure_names": FAILURES}
+    _describe(cloud, view, **names, block_names=view.model.names)
     return cloud
 
 

@@ -180,8 +180,9 @@ def test_rocking_about_two_axes_loses_energy_only_to_friction(friction):
     for rows, noise in ((coarse, 2e-2), (fine, 5e-3)):
         assert np.abs(rows[:, 2]).max() < noise
         mechanical = rows[:, 0]
-        assert (mechanical - np.minimum.accumulate(mechanical)).max() < 1e-4
-        assert np.diff(rows[:, 1]).min() > -1e-5 and rows[-1, 1] > 0.1
+        # 5e-5 of it: cell walls move by up to 1e-3 of a patch at a cut (impacts are allowed 2e-4, CONTACT.md 6)
+        assert (mechanical - np.minimum.accumulate(mechanical)).max() < 5e-5 * mechanical[0]
+        assert np.diff(rows[:, 1]).min() > -5e-5 * mechanical[0] and rows[-1, 1] > 0.1
     assert np.abs(fine[:, 2]).max() < 0.5 * np.abs(coarse[:, 2]).max()
 
 
