@@ -309,13 +309,14 @@ class Contacts:
         ):  # fmt: skip
             np.minimum.at(tolerance, blocks[pair], r)
         self._tolerance = tolerance
-        depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._partner: Ints | None = None
         self._close_arguments = (p.gp, p.start, p.corners, p.offset, p.flags, p.limit, p.ref_points, p.ref_ratio)
-        self._closed = (self._area, self._gap, depth, face_normal)
+        self._closed = (self._area, self._gap, self._depth, face_normal)
         self._face_normal = face_normal
         self._rows = (
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
-            self._pair_area, cluster_normal, self._foot, depth, face_normal,
+            self._pair_area, cluster_normal, self._foot, self._depth, face_normal,
         )  # fmt: skip
 
     def forces(self, x: Array, x_old: Array, dt: float, f_gp: Array) -> None:
