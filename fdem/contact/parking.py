@@ -12,7 +12,7 @@ from fdem.contact import startup
 from fdem.contact.contacts import Contacts
 from fdem.contact.narrow import Ghosts, Patches
 from fdem.contact.wear import worn_pairs
-from fdem.kernels import sleep
+from fdem.kernels import patches, sleep
 
 __all__ = ["Parking", "patches_of", "sleepers", "whole"]
 
@@ -121,15 +121,17 @@ class Parking(Contacts):
         self._split(self.asleep | blocks)
         return True
 
-    def remember(self, blocks: Mask, f: Array, acting: Array, share: float) -> None:
-        """Keep the forces `f` (n_gp, 3) [N] on `blocks`; a change by `share` of those acting wakes them.
+    def pushes(self) -> Array:
+        """Contact forces (n_gp, 3) [N] on gridpoints at the last commit."""
+        out, p = self.force.copy(), self.patches
+        if len(p):
+            patches.scatter(p.gp, p.active_old, self._w, self._area, self._push, self._foot, self._traction, out)
+        return out
 
-        `acting` (n_blocks,) [N] is what acts on blocks besides contacts.
-        """
+    def remember(self, blocks: Mask, f: Array, limit: Array) -> None:
+        """Keep the forces `f` (n_gp, 3) [N] on `blocks`; a change by more than `limit` (n_blocks,) wakes them."""
         mine = blocks[self._gp_block]
-        self.reference[mine] = f[mine]
-        each = np.bincount(self._gp_block, np.linalg.norm(self.force, axis=1), len(blocks))
-        self.limit[blocks] = share * (each + acting)[blocks]
+        self.reference[mine], self.limit[blocks] = f[mine], limit[blocks]
 
     def disturbed(self, f: Array) -> Mask | None:
         """Islands of sleepers (n_blocks,) one of whose blocks feels forces `f` (n_gp, 3) [N] that changed; or None."""
@@ -148,13 +150,13 @@ class Parking(Contacts):
 
     def _split(self, asleep: Mask) -> None:
         """Park the pairs of blocks that sleep or are static, and no others."""
-        pairs, patches, ghosts, bound, _ = self._merged()
+        merged = self._merged()[:4]
         self.asleep, held = asleep, asleep | self._static
         self._gps = np.flatnonzero(asleep[self._gp_block])
         self._change[:] = 0.0
-        away = held[pairs].all(axis=1)
-        self._away = _part(pairs, patches, ghosts, bound, away)
-        _take(self, *_part(pairs, patches, ghosts, bound, ~away))
+        away = held[merged[0]].all(axis=1)
+        self._away = _part(*merged, away)
+        _take(self, *_part(*merged, ~away))
         self.force[:] = 0.0
         view = self._view(self._away)
         view.forces(self._x, self._x, 0.0, self.force)
@@ -162,14 +164,14 @@ class Parking(Contacts):
 
     def _merged(self) -> tuple[Any, Patches, Ghosts, Array, Any]:
         """All pairs, patches, near misses and bounds in the order of `Contacts`; and that order."""
-        pairs, patches, ghosts, bound = self._away
+        pairs, parked, ghosts, bound = self._away
         both = np.concatenate([self.pairs, pairs])
         order = np.lexsort((both[:, 1], both[:, 0]))
         number = np.empty(len(order), np.int32)
         number[order] = np.arange(len(order), dtype=np.int32)
         n = len(self.pairs)
-        p = Patches.join(self.patches, patches)
-        p.pair = np.concatenate([number[self.patches.pair], number[n + patches.pair]])
+        p = Patches.join(self.patches, parked)
+        p.pair = np.concatenate([number[self.patches.pair], number[n + parked.pair]])
         g = Ghosts.join(self.ghosts, ghosts)
         g.pair = np.concatenate([number[self.ghosts.pair], number[n + ghosts.pair]])
         place = np.lexsort((p.face_s, p.face_m, p.pair, p.law))

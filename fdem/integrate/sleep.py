@@ -22,12 +22,12 @@ class Sleep:
     Parameters
     ----------
     motion : float, optional
-        A block is at rest if it moved by less than this share of its size in `steps` steps, and its acceleration would
-        move it by less in as many more.
+        A block is at rest if it moved by less than this share of its size in `steps` steps.
     steps : int, optional
         Steps of the window.
     share : float, optional
-        A change of the forces on a block by this share of those acting on it wakes it.
+        It is no rest if more than this share of the forces on a block is not balanced, and a change of them by as much
+        wakes it.
 
     Raises
     ------
@@ -85,7 +85,7 @@ class Sleeper:
             self._may[group.block] &= not group.moving
         self._pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
         self._limit = options.motion * model.size
-        self._weight = model.mass * float(np.linalg.norm(model.gravity))
+        self._mass, self._weight = model.mass, model.mass * float(np.linalg.norm(model.gravity))
         self.parking.changed = self._hold
         self._hold()
 
@@ -127,11 +127,20 @@ class Sleeper:
         ready = self._may & ~parking.asleep & (state.step - parking.since >= self.options.steps)
         if not ready.any():
             return
-        a = self._pushed(self.system.accelerate(state.f))
-        ready &= 0.5 * (self.options.steps * dt) ** 2 * parking.largest(a) <= limit
+        allowed = self.options.share * self._acting()
+        ready &= self._mass * parking.largest(self._pushed(self.system.accelerate(state.f))) <= allowed
         ready = parking.resting(ready, self._mobile)
         if ready.any() and parking.park(ready):
-            self._stop(ready)
+            self._stop(ready, allowed)
+
+    def _acting(self) -> np.ndarray:
+        """Sum (n_blocks,) of the sizes of all forces on each block [N]: contacts, loads, weight."""
+        model, load = self.system.model, self.system.f_load
+        each = np.linalg.norm(self.parking.pushes(), axis=1)
+        if load is not None:
+            each += np.linalg.norm(load, axis=1)
+        total: np.ndarray = self._weight + np.bincount(model.gp_block, each, model.n_blocks)
+        return total
 
     def _pushed(self, v: np.ndarray) -> np.ndarray:
         out = np.zeros_like(self.system.state.x)
@@ -139,8 +148,8 @@ class Sleeper:
             batch.push(self.system.state.q, v, out)
         return out
 
-    def _stop(self, blocks: np.ndarray) -> None:
-        """Take the motion of `blocks` to the ledger, and keep the forces that hold them."""
+    def _stop(self, blocks: np.ndarray, allowed: np.ndarray) -> None:
+        """Take the motion of `blocks` to the ledger, and keep the forces that hold them; `allowed` changes [N]."""
         system, state = self.system, self.system.state
         mine = blocks[self._dof_block]
         lost = np.where(mine, state.v, 0.0)
@@ -148,11 +157,7 @@ class Sleeper:
         system.damped += sum(batch.kinetic(state.q, lost) for batch in system.model.batches)
         system.current = False
         system.forces()
-        acting = self._weight.copy()
-        if system.f_load is not None:
-            owner = system.model.gp_block
-            acting += np.bincount(owner, np.linalg.norm(system.f_load, axis=1), len(acting))
-        self.parking.remember(blocks, self._forces_on_gridpoints(), acting, self.options.share)
+        self.parking.remember(blocks, self._forces_on_gridpoints(), allowed)
 
 
 def work_of(system: Any, options: Sleep | None) -> tuple[Callable[[], Any], Callable[[float], None]]:
