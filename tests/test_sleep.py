@@ -24,7 +24,7 @@ BODIES = {
 def ground(gravity=(0.0, 0.0, -9.81), friction=35.0, damping=0.3):
     """A fixed base below z = 0."""
     scene = fdem.Scene(gravity=gravity)
-    scene.add(fdem.brick((-3, -4, -0.5), (5, 3, 0)), fdem.Rigid(), name="base", fixed=True)
+    scene.add(fdem.brick((-3, -4, -0.5), (27, 3, 0)), fdem.Rigid(), name="base", fixed=True)
     scene.joint(fdem.Coulomb(kn=1e8, ks=5e7, friction=friction, damping=damping))
     return scene
 
@@ -100,7 +100,7 @@ def test_a_thrown_stone_wakes_the_wall_it_hits():
     assert moved > 100 * SOON.motion * size
     # measured 8e-7 m: what the wall had still to go when it fell asleep, and what the impact made of it
     assert apart(sim, never) < 10 * SOON.motion * size
-    assert_allclose(sim.energy.error, never.energy.error, atol=1e-6 * sim.ledger.turned)
+    assert_allclose(sim.energy.error, never.energy.error, atol=1e-5 * sim.ledger.turned)
 
 
 def test_what_was_woken_comes_to_rest_where_it_does_without_sleep():
@@ -115,7 +115,7 @@ def test_what_was_woken_comes_to_rest_where_it_does_without_sleep():
         assert sim.time < 2.0, "not everything falls asleep"
     # measured 0.14 of what counts as no motion, after a fall of five sizes
     assert apart(sim, never) < SOON.motion * 0.15
-    assert_allclose(sim.energy.error, never.energy.error, atol=1e-6 * sim.ledger.turned)
+    assert_allclose(sim.energy.error, never.energy.error, atol=1e-5 * sim.ledger.turned)
 
 
 @pytest.mark.parametrize("body", BODIES)
@@ -158,18 +158,16 @@ def test_sleepers_wake_when_a_load_comes_or_changes(body):
 def test_a_step_of_a_wall_asleep_is_cheap():
     """300 bricks of which all sleep but three others that fly: 1.5 times faster at least."""
     scene = ground(damping=1.0)
-    for shape in fdem.wall(4.0, 5.6, 0.3, (0.4, 0.2)):
+    for shape in fdem.wall(24.0, 1.0, 0.3, (0.4, 0.2)):
         scene.add(shape, fdem.Rigid(), STONE, group="wall")
     for i in range(3):
         corner = np.array([i, -2.0, 1.0])
-        scene.add(fdem.brick(corner, corner + 0.1), fdem.Rigid(), STONE, group="others", velocity=(0, 0, 20.0))
+        scene.add(fdem.brick(corner, corner + 0.1), fdem.Rigid(), STONE, group="others", velocity=(0, 0, 2.0))
     sim = simulation(scene, fdem.Explicit(damping=fdem.Local(0.5), sleep=fdem.Sleep(steps=100)), energy=False)
     never = simulation(scene, fdem.Explicit(damping=fdem.Local(0.5)), energy=False)
-    never.cycle(300)
-    for _ in range(100):
+    never.cycle(100)
+    while not asleep(sim) and sim.steps < 3000:
         sim.cycle(50)
-        if asleep(sim):
-            break
     assert len(asleep(sim)) == sim.model.n_blocks - 4 > 280
     spent = np.zeros((2, 5))
     for k in range(5):
@@ -214,28 +212,26 @@ def test_going_on_from_a_file_saved_in_sleep(tmp_path):
 
     def scene():
         made = pillar()
-        made.apply(fdem.Force((0.0, 0.0, -1000.0)), "b2", factor=lambda t: float(t > 0.5))
+        made.apply(fdem.Force((0.0, 0.0, -1000.0)), "b2", factor=lambda t: float(t > 2.0))
         return made
 
     given = {"damping": fdem.Local(0.8), "sleep": SOON}
     sim = rest(simulation(scene(), fdem.Explicit(**given)))
-    while sim.time < 0.4:
-        sim.cycle(100)
-    assert len(asleep(sim)) == 3
     sim.save(tmp_path / "asleep.npz")
     again = fdem.load(tmp_path / "asleep.npz", scene(), fdem.Explicit(**given), progress=False)
     assert asleep(again) == asleep(sim)
     assert_same_bits(everything(again), everything(sim))
-    for _ in range(2):
+    for end, sleeping in ((1.9, 3), (2.02, 0), (4.0, 3)):  # the load wakes it at 2 s
         for each in (sim, again):
-            each.run(0.11)
+            each.run(end - each.time)
+        assert len(asleep(sim)) == sleeping
         assert_same_bits(everything(again), everything(sim))
-    assert asleep(sim) == set()  # the load has woken it
     awake = fdem.load(tmp_path / "asleep.npz", scene(), fdem.Explicit(damping=fdem.Local(0.8)), progress=False)
     assert "sleeping: left out" in awake.describe()
     taken = simulation(scene(), fdem.Explicit(**given), start=again)
-    for each in (awake, taken):
-        each.run(0.5)
+    assert asleep(taken) == set()
+    for each, end in ((awake, 3.0), (taken, 5.0)):
+        each.run(end - each.time)
         assert_allclose(each.contact_forces()[0, 2], -3 * 0.5 * 2500 * 9.81 - 1000.0, rtol=SOON.share)
 
 
@@ -268,17 +264,20 @@ def test_nothing_read_changes_when_blocks_fall_asleep(body):
 
 def test_a_driven_platen_wakes_what_lies_on_it():
     scene = ground()
-    scene.add(fdem.brick((0, 0, 0.1), (1, 1, 0.6)), fdem.Rigid(), STONE, name="platen")
+    scene.add(fdem.brick((0, 0, 0.1), (1, 1, 0.6)), fdem.Rigid(), name="platen", fixed=True)
     for axis in range(3):
         scene.add(fdem.brick((0, 0, 0.6 + 0.5 * axis), (1, 1, 1.1 + 0.5 * axis)), fdem.Rigid(), STONE, name=f"b{axis}")
     scene.apply(fdem.Velocity((0, 0, 1.0)), "platen", factor=lambda t: float(0.6 < t < 0.7))
     sim = rest(simulation(scene, fdem.Explicit(dt=1e-4, damping=fdem.Local(0.5), sleep=SOON)))
     sim.run(0.59 - sim.time)
     assert len(asleep(sim)) == 3
+    before = sim["b2"].displacement[2]
     sim.run(0.06)
     assert asleep(sim) == set()
     rest(sim)
-    assert_allclose(sim["b2"].displacement[2], 0.1, rtol=2e-3)
+    # the platen's way is a sum of whole steps
+    assert_allclose(sim["b2"].displacement[2] - before, sim["platen"].displacement[2], atol=1e-6)
+    assert_allclose(sim["platen"].displacement[2], 0.1, atol=2e-4)
 
 
 def test_options_and_scenes_that_cannot_sleep():

@@ -70,8 +70,17 @@ class Parking(Contacts):
 
     def _clear(self) -> None:
         """Nothing is parked."""
-        self._away = np.zeros((0, 2), np.int32), Patches.none(self.n_memory), Ghosts(), np.zeros(0)
         self._gps = np.zeros(0, dtype=np.int64)
+        self._set_aside(np.zeros((0, 2), np.int32), Patches.none(self.n_memory), Ghosts(), np.zeros(0))
+
+    def _set_aside(self, *parts: Any) -> None:
+        """Park these pairs, patches, near misses and bounds."""
+        self._parked = self._view(*parts)
+        self._parked_rows: Any = None
+        self._parked_k: Array | None = None
+        self.force[:] = 0.0
+        self._parked.forces(self._x, self._x, 0.0, self.force)
+        self._parked._bound[:] = parts[3]
 
     # ---- what a step needs
 
@@ -139,7 +148,7 @@ class Parking(Contacts):
         felt = self._change > self.limit
         if not felt.any():
             return None
-        label = _islands(self.asleep, *self._away[:2])
+        label = _islands(self.asleep, self._parked.pairs, self._parked.patches)
         out: Mask = self.asleep & np.isin(label, label[felt])
         return out
 
@@ -150,22 +159,19 @@ class Parking(Contacts):
 
     def _split(self, asleep: Mask) -> None:
         """Park the pairs of blocks that sleep or are static, and no others."""
-        merged = self._merged()[:4]
+        merged = self._merged()
         self.asleep, held = asleep, asleep | self._static
         self._gps = np.flatnonzero(asleep[self._gp_block])
         self._change[:] = 0.0
         away = held[merged[0]].all(axis=1)
-        self._away = _part(*merged, away)
+        self._set_aside(*_part(*merged, away))
         _take(self, *_part(*merged, ~away))
-        self.force[:] = 0.0
-        view = self._view(self._away)
-        view.forces(self._x, self._x, 0.0, self.force)
         self.changed()
 
-    def _merged(self) -> tuple[Any, Patches, Ghosts, Array, Any]:
-        """All pairs, patches, near misses and bounds in the order of `Contacts`; and that order."""
-        pairs, parked, ghosts, bound = self._away
-        both = np.concatenate([self.pairs, pairs])
+    def _merged(self) -> tuple[Any, Patches, Ghosts, Array]:
+        """All pairs, patches, near misses and bounds in the order of `Contacts`."""
+        parked, ghosts = self._parked.patches, self._parked.ghosts
+        both = np.concatenate([self.pairs, self._parked.pairs])
         order = np.lexsort((both[:, 1], both[:, 0]))
         number = np.empty(len(order), np.int32)
         number[order] = np.arange(len(order), dtype=np.int32)
@@ -175,15 +181,16 @@ class Parking(Contacts):
         g = Ghosts.join(self.ghosts, ghosts)
         g.pair = np.concatenate([number[self.ghosts.pair], number[n + ghosts.pair]])
         place = np.lexsort((p.face_s, p.face_m, p.pair, p.law))
-        bound = np.concatenate([self._bound, bound])[place]
-        return np.ascontiguousarray(both[order]), p.take(place), g, bound, place
+        bound = np.concatenate([self._bound, self._parked._bound])[place]
+        return np.ascontiguousarray(both[order]), p.take(place), g, bound
 
     # ---- reading: everything, as if nothing were parked
 
-    def _view(self, parts: tuple[Any, Patches, Ghosts, Array]) -> Contacts:
-        """Contacts of their own with other pairs and patches, to be read."""
+    def _view(self, *parts: Any) -> Contacts:
+        """Contacts of their own with other pairs, patches, near misses and bounds, to be read."""
         view = Contacts.__new__(Contacts)
         view.__dict__.update(self.__dict__)
+        view.__dict__.pop("_parked", None)
         _take(view, *parts)
         return view
 
@@ -191,7 +198,7 @@ class Parking(Contacts):
         """All contacts with the present forces, to be read."""
         if not len(self._gps):
             return self
-        view = self._view(self._merged()[:4])
+        view = self._view(*self._merged())
         bound = view._bound.copy()
         view.forces(self._x, self._x_old, self._last_dt, np.zeros_like(self._x))
         view._bound[:] = bound
@@ -200,28 +207,22 @@ class Parking(Contacts):
     @property
     def n_patches(self) -> int:
         """Number of patches, open and parked ones included."""
-        return len(self.patches) + len(self._away[1])
+        return len(self.patches) + len(self._parked.patches)
 
     def stiffness(self, x: Array) -> Any:
         """Rows of all whole patches, parked ones included: the step must hold when blocks wake."""
-        return self._bounding(lambda c: Contacts.stiffness(c, x))
+        rows = super().stiffness(x)
+        if not len(self._parked.patches):
+            return rows
+        if self._parked_rows is None:
+            self._parked_rows = self._parked.stiffness(x)
+        return tuple(np.concatenate(both) for both in zip(rows, self._parked_rows, strict=True))
 
     def potential_k_gp(self, x: Array, mobile: Any) -> Array:
         """Upper bound of the stiffness of all contacts per gridpoint (n_gp,) [N/m], parked ones included."""
-        out: Array = self._bounding(lambda c: Contacts.potential_k_gp(c, x, mobile))
-        return out
-
-    def _bounding(self, ask: Callable[[Contacts], Any]) -> Any:
-        """Answer of all contacts to a question about stiffness, from which later growth counts."""
-        view = self.whole()
-        answer = ask(view)
-        if view is not self:
-            place, n = self._merged()[4], len(self.patches)
-            bound = np.empty(len(place))
-            bound[place] = view._bound
-            self._bound[:], self.stiffer = bound[:n], False
-            self._away = (*self._away[:3], bound[n:])
-        return answer
+        if self._parked_k is None:
+            self._parked_k = self._parked.potential_k_gp(x, mobile)
+        return super().potential_k_gp(x, mobile) + self._parked_k
 
     def table(self, x: Array) -> dict[str, Any]:
         """Contact table of all contacts; see `Contacts.table`."""
@@ -241,12 +242,10 @@ class Parking(Contacts):
             self.since[:] = -1
             self.changed()
             return
-        for name in _KEPT[1:]:
-            getattr(self, name)[:] = arrays[f"park_{name}"]
-        force = self.force.copy()
         if arrays["park_asleep"].any():
             self._split(np.array(arrays["park_asleep"]))
-        self.force[:] = force
+        for name in _KEPT[1:]:
+            getattr(self, name)[:] = arrays[f"park_{name}"]
 
 
 def _ignore() -> None:
@@ -290,12 +289,12 @@ def whole(c: Contacts) -> Contacts:
 
 def patches_of(c: Contacts) -> list[Patches]:
     """The patches `c` works on, and those that are parked."""
-    return [c.patches, c._away[1]] if isinstance(c, Parking) else [c.patches]
+    return [c.patches, c._parked.patches] if isinstance(c, Parking) else [c.patches]
 
 
 def sleepers(c: Contacts | None) -> str:
     """What `describe` says about sleeping."""
     if not isinstance(c, Parking):
         return "sleeping: left out, not asked for"
-    asleep, parked = int(c.asleep.sum()), len(c._away[1])
+    asleep, parked = int(c.asleep.sum()), len(c._parked.patches)
     return f"sleeping: {asleep} of {len(c.asleep)} blocks sleep now, {parked} of {c.n_patches} patches are parked"
