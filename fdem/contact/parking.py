@@ -211,12 +211,12 @@ class Parking(Contacts):
 
     def stiffness(self, x: Array) -> Any:
         """Rows of all whole patches, parked ones included: the step must hold when blocks wake."""
-        rows = super().stiffness(x)
+        rows: tuple[Any, ...] = super().stiffness(x)
         if not len(self._parked.patches):
             return rows
         if self._parked_rows is None:
             self._parked_rows = self._parked.stiffness(x)
-        return tuple(np.concatenate(both) for both in zip(rows, self._parked_rows, strict=True))
+        return tuple(np.concatenate([a, b]) for a, b in zip(rows, self._parked_rows, strict=True))
 
     def potential_k_gp(self, x: Array, mobile: Any) -> Array:
         """Upper bound of the stiffness of all contacts per gridpoint (n_gp,) [N/m], parked ones included."""
