@@ -103,6 +103,28 @@ def test_a_thrown_stone_wakes_the_wall_it_hits():
     assert_allclose(sim.energy.error, never.energy.error, atol=1e-5 * sim.ledger.turned)
 
 
+def test_a_sleeper_is_awake_in_the_step_in_which_it_is_hit():
+    """A floating block rests exactly: hit, it moves as it does without sleep, to the last bit."""
+
+    def floating(sleep):
+        scene = fdem.Scene(gravity=(0, 0, 0))
+        scene.add(fdem.brick((0, 0, 0), (1, 1, 1)), fdem.Rigid(), STONE, name="target")
+        scene.add(fdem.brick((1.5, 0.3, 0.2), (1.9, 0.7, 0.9)), fdem.Rigid(), STONE, name="stone", velocity=(-3, 0, 0))
+        scene.joint(fdem.Coulomb(kn=1e8, ks=5e7, friction=35.0, damping=0.1))
+        return simulation(scene, fdem.Explicit(dt=2e-4, sleep=sleep))
+
+    never, sim = sims = floating(None), floating(SOON)
+    both(sims, 500)
+    assert asleep(sim) == {"target"}
+    both(sims, 1500)
+    assert asleep(sim) == set()
+    assert_array_equal(sim.state.v, never.state.v)
+    assert_array_equal(sim.state.x, never.state.x)
+    assert sim["target"].velocity[0] < -0.1
+    first = np.array([-3.0, 0.0, 0.0]) * sim["stone"].mass
+    assert_allclose(sum(sim[n].mass * sim[n].velocity for n in ("target", "stone")), first, atol=1e-11 * abs(first[0]))
+
+
 def test_what_was_woken_comes_to_rest_where_it_does_without_sleep():
     """A stone falls flat on a sleeping wall and stays there."""
     given = {"corner": (0.5, 0.1, 1.4), "velocity": (0.0, 0.0, 0.0), "damping": fdem.Local(0.2)}

@@ -40,6 +40,8 @@ class Parking(Contacts):
     ----------
     asleep : (n_blocks,) bool array
         Blocks that sleep.
+    gps : (n,) int array
+        Their gridpoints.
     force : (n_gp, 3) array
         Forces of parked contacts on gridpoints [N]; they are added without being computed again.
     reference, limit : (n_gp, 3), (n_blocks,) array
@@ -70,7 +72,7 @@ class Parking(Contacts):
 
     def _clear(self) -> None:
         """Nothing is parked."""
-        self._gps = np.zeros(0, dtype=np.int64)
+        self.gps = np.zeros(0, dtype=np.int64)
         self._set_aside(np.zeros((0, 2), np.int32), Patches.none(self.n_memory), Ghosts(), np.zeros(0))
 
     def _set_aside(self, *parts: Any) -> None:
@@ -87,7 +89,7 @@ class Parking(Contacts):
     def forces(self, x: Array, x_old: Array, dt: float, f_gp: Array) -> None:
         """Add the forces of all contacts, parked ones as they were; see `Contacts.forces`."""
         self._last_dt = dt
-        if len(self._gps):
+        if len(self.gps):
             f_gp += self.force
         super().forces(x, x_old, dt, f_gp)
 
@@ -123,7 +125,8 @@ class Parking(Contacts):
 
     def park(self, blocks: Mask) -> bool:
         """Let `blocks` (n_blocks,), at rest after a commit, fall asleep; False if contacts are to be cut anew first."""
-        if worn_pairs(self, self._x).any():
+        held = self.asleep | self._static | blocks
+        if worn_pairs(self, self._x)[held[self.pairs].all(axis=1)].any():
             return False
         mine = blocks[self._gp_block]
         self.x_check[mine] = self._x[mine]  # so that no motion is forgotten when they wake
@@ -144,7 +147,7 @@ class Parking(Contacts):
 
     def disturbed(self, f: Array) -> Mask | None:
         """Islands of sleepers (n_blocks,) one of whose blocks feels forces `f` (n_gp, 3) [N] that changed; or None."""
-        sleep.changes(self._gps, self._gp_block, f, self.reference, self._change)
+        sleep.changes(self.gps, self._gp_block, f, self.reference, self._change)
         felt = self._change > self.limit
         if not felt.any():
             return None
@@ -161,7 +164,7 @@ class Parking(Contacts):
         """Park the pairs of blocks that sleep or are static, and no others."""
         merged = self._merged()
         self.asleep, held = asleep, asleep | self._static
-        self._gps = np.flatnonzero(asleep[self._gp_block])
+        self.gps = np.flatnonzero(asleep[self._gp_block])
         self._change[:] = 0.0
         away = held[merged[0]].all(axis=1)
         self._set_aside(*_part(*merged, away))
@@ -196,7 +199,7 @@ class Parking(Contacts):
 
     def whole(self) -> Contacts:
         """All contacts with the present forces, to be read."""
-        if not len(self._gps):
+        if not len(self.gps):
             return self
         view = self._view(*self._merged())
         bound = view._bound.copy()

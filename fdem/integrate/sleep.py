@@ -108,6 +108,8 @@ class Sleeper:
         """Forces of the present configuration, after waking those that feel a change."""
         system = self.system
         system.forces()
+        if not len(self.parking.gps):
+            return
         if (woken := self.parking.disturbed(self._forces_on_gridpoints())) is not None:
             self.parking.wake(woken, system.state.step)
             system.current = False
