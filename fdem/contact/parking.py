@@ -12,7 +12,7 @@ from fdem.contact import startup
 from fdem.contact.contacts import Contacts
 from fdem.contact.narrow import Ghosts, Patches
 from fdem.contact.wear import worn_pairs
-from fdem.kernels import patches, sleep
+from fdem.kernels import patches, sleep, upkeep
 
 __all__ = ["Parking", "patches_of", "sleepers", "whole"]
 
@@ -98,10 +98,6 @@ class Parking(Contacts):
         mask = ~(held[a] & held[b])
         return mask if self._allowed is None else mask & np.asarray(self._allowed(a, b), dtype=bool)
 
-    def _redo(self, x: Array, refreshed: Any) -> bool:
-        """New detection; sleeping blocks keep their reference: their parked pairs rest on it."""
-        return super()._redo(x, refreshed & ~self.asleep)
-
     # ---- rest and waking
 
     def largest(self, values: Array, origin: Array | None = None) -> Array:
@@ -124,14 +120,21 @@ class Parking(Contacts):
         return out
 
     def park(self, blocks: Mask) -> bool:
-        """Let `blocks` (n_blocks,), at rest after a commit, fall asleep; False if contacts are to be cut anew first."""
+        """Let `blocks` (n_blocks,), at rest after a commit, fall asleep; whether contacts were detected again for that.
+
+        All motion up to now is then known to detection, so that it need not look at parked pairs, nor when they return.
+        """
+        x, moved = self._x, np.zeros(len(blocks))
+        upkeep.block_motion(self.surfaces.surface_gp, self.surfaces.surface_start, x, self.x_ref, moved)
+        far = moved > 0.25 * self._skins
         held = self.asleep | self._static | blocks
-        if worn_pairs(self, self._x)[held[self.pairs].all(axis=1)].any():
-            return False
+        due = bool((far & blocks).any() or worn_pairs(self, x)[held[self.pairs].all(axis=1)].any())
+        if due:
+            self._redo(x, far)
         mine = blocks[self._gp_block]
-        self.x_check[mine] = self._x[mine]  # so that no motion is forgotten when they wake
+        self.x_check[mine] = x[mine]
         self._split(self.asleep | blocks)
-        return True
+        return due
 
     def pushes(self) -> Array:
         """Contact forces (n_gp, 3) [N] on gridpoints at the last commit."""

@@ -132,7 +132,8 @@ class Sleeper:
         allowed = self.options.share * self._acting()
         ready &= self._mass * parking.largest(self._pushed(self.system.accelerate(state.f))) <= allowed
         ready = parking.resting(ready, self._mobile)
-        if ready.any() and parking.park(ready):
+        if ready.any():
+            self.system.stale |= parking.park(ready)
             self._stop(ready, allowed)
 
     def _acting(self) -> np.ndarray:
