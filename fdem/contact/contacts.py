@@ -186,11 +186,11 @@ class Contacts:
             return self._redo(x, np.ones(s.n_blocks, bool))
         due = np.zeros(len(self.pairs), np.uint8)
         if not closing(self, x, due) and not upkeep.moved(
-            s.surface_gp, s.surface_start, x, self.x_check, self._tolerance
+            s.movers, s.surface_gp, s.surface_start, x, self.x_check, self._tolerance
         ):
             return False
         motion = np.zeros(s.n_blocks)
-        upkeep.block_motion(s.surface_gp, s.surface_start, x, self.x_ref, motion)
+        upkeep.block_motion(s.movers, s.surface_gp, s.surface_start, x, self.x_ref, motion)
         if (motion > 0.5 * self._skins).any():
             return self._redo(x, motion > 0.25 * self._skins)
         self.x_check[:] = x

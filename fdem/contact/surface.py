@@ -54,6 +54,8 @@ class BlockSurface:
         Per face a gridpoint off its plane (fourth vertex of the zone). None: chosen.
     whole : bool, optional
         The block has few unknowns: dashpots move all its mass, not that of gridpoints (affine blocks always do).
+    still : bool, optional
+        The block never moves: no step looks whether it has.
     """
 
     loops: Any
@@ -65,6 +67,7 @@ class BlockSurface:
     mass: float
     behind: Any = None
     whole: bool = False
+    still: bool = False
 
 
 @dataclass
@@ -95,6 +98,8 @@ class Surfaces:
         [m^3], mass [kg].
     surface_gp, surface_start : int32
         Gridpoints on the surface of every block.
+    movers : int32
+        Blocks that may move.
     """
 
     face_start: Ints
@@ -120,6 +125,7 @@ class Surfaces:
     mass: Array
     surface_gp: Ints
     surface_start: Ints
+    movers: Ints
 
     @property
     def n_blocks(self) -> int:
@@ -186,6 +192,7 @@ class Surfaces:
             mass=np.array([np.inf if b.fixed else b.mass for b in blocks], dtype=float),
             surface_gp=cat(surface_gp),
             surface_start=np.r_[0, np.cumsum([len(g) for g in surface_gp])].astype(np.int32),
+            movers=np.flatnonzero([not b.still for b in blocks]).astype(np.int32),
         )
         s._measure(x)
         return s
