@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 import subprocess
 import sys
 import time
@@ -125,8 +124,8 @@ def columns(body, extra):
 def test_nothing_is_computed_for_fixed_blocks(kind):
     """1000 fixed blocks more: the same unknowns, motion and batches, and a step that costs the same.
 
-    In processor time, the least of several runs by turns; 15 us more are allowed, which is what it takes to clear the
-    forces of 8000 gridpoints (33 us when the step still looked whether fixed blocks had moved).
+    In processor time, the least of several runs by turns: 1.08 times, of which clearing the forces of 8000 gridpoints is
+    most; it was 1.6 times when every step looked whether fixed blocks had moved. A busy machine is given some room.
     """
     few, many = (columns(KINDS[kind], extra) for extra in (0, 1000))
     for sim in (few, many):
@@ -141,4 +140,4 @@ def test_nothing_is_computed_for_fixed_blocks(kind):
             start = time.process_time()
             sim.cycle(steps)
             spent.append((time.process_time() - start) / steps)
-    assert min(times[many]) <= min(times[few]) + 15e-6, statistics.median(times[many])
+    assert min(times[many]) <= 1.35 * min(times[few])
