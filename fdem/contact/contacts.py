@@ -225,9 +225,8 @@ class Contacts:
         self.patches.pair = new_index[self.patches.pair]
         self.ghosts = self.ghosts.without(new_index < 0)
         self.ghosts.pair = new_index[self.ghosts.pair]
-        for b in np.flatnonzero(refreshed):
-            ids = self.surfaces.surface_gp[self.surfaces.surface_start[b] : self.surfaces.surface_start[b + 1]]
-            self.x_ref[ids] = x[ids]
+        ids = self.surfaces.surface_gp[np.repeat(refreshed, np.diff(self.surfaces.surface_start))]
+        self.x_ref[ids] = x[ids]
         self.n_detections += 1
         self._replace(np.flatnonzero(due).astype(np.int32), x, slip)
         return True
