@@ -104,16 +104,15 @@ def test_s22_stack_of_all_bodies_at_utm_coordinates():
     for origin in (np.zeros(3), np.array([500_000.0, 4_600_000.0, 300.0])):
         scene = fdem.Scene()
         scene.add(fdem.brick(origin - 1, origin + np.array([2, 2, 0])), fdem.Rigid(), fixed=True, name="base")
-        low = [origin + np.array([0, 0, k]) for k in range(8)]
+        low = [origin + np.array([0, 0, k]) for k in range(4)]
         cubes = [
-            scene.add(fdem.brick(at, at + 1), KINDS[list(KINDS)[k % 4]], ROCK, name=f"cube {k}")
-            for k, at in enumerate(low)
+            scene.add(fdem.brick(at, at + 1), KINDS[list(KINDS)[k]], ROCK, name=f"cube {k}") for k, at in enumerate(low)
         ]
         scene.joint(fdem.Coulomb(kn=1e9, ks=5e8, friction=30))
         sim = settled(scene, 1e-9)
         forces = np.array([sim.pair_force(a, b) for a, b in zip(["base", *cubes[:-1]], cubes, strict=True)])
         table = sim.contact_table()
         results.append((forces, set(zip(table["block_a"].tolist(), table["block_b"].tolist(), strict=True))))
-        assert forces[:, 2] == pytest.approx(2000 * G * np.arange(8, 0, -1), rel=1e-6)
+        assert forces[:, 2] == pytest.approx(2000 * G * np.arange(4, 0, -1), rel=1e-6)
     assert results[0][1] == results[1][1]
     assert np.abs(results[1][0] - results[0][0]).max() <= 1e-6 * np.abs(results[0][0]).max()
