@@ -16,6 +16,8 @@ CASES = {
     "arch": (1e-4, ["arch_rigid.png", "arch_zoned.png"]),  # ratio 1e-6 of the largest force, 23 blocks added up
     "impact": (1e-3, ["impact.png", "impact_history.png"]),  # API.md, scene 3
     "user_law": (1e-3, ["user_law.png"]),  # its kernel takes the strength from the slip of the step before
+    # thrust of the joints' shear springs, and strain of 1e-4 beside linear formulas
+    "formulations": (2e-3, ["formulations.png"]),
     "imported": (1e-5, ["imported_meshes_vault.png"]),  # support reaction, issue of part 2
 }
 

@@ -187,11 +187,11 @@ class Contacts:
             return self._redo(x, np.ones(s.n_blocks, bool))
         due = np.zeros(len(self.pairs), np.uint8)
         if not closing(self, x, due) and not upkeep.moved(
-            s.surface_gp, s.surface_start, x, self.x_check, self._tolerance
+            s.movers, s.surface_gp, s.surface_start, x, self.x_check, self._tolerance
         ):
             return False
         motion = np.zeros(s.n_blocks)
-        upkeep.block_motion(s.surface_gp, s.surface_start, x, self.x_ref, motion)
+        upkeep.block_motion(s.movers, s.surface_gp, s.surface_start, x, self.x_ref, motion)
         if (motion > 0.5 * self._skins).any():
             return self._redo(x, motion > 0.25 * self._skins)
         self.x_check[:] = x
@@ -225,9 +225,8 @@ class Contacts:
         self.patches.pair = new_index[self.patches.pair]
         self.ghosts = self.ghosts.without(new_index < 0)
         self.ghosts.pair = new_index[self.ghosts.pair]
-        for b in np.flatnonzero(refreshed):
-            ids = self.surfaces.surface_gp[self.surfaces.surface_start[b] : self.surfaces.surface_start[b + 1]]
-            self.x_ref[ids] = x[ids]
+        ids = self.surfaces.surface_gp[np.repeat(refreshed, np.diff(self.surfaces.surface_start))]
+        self.x_ref[ids] = x[ids]
         self.n_detections += 1
         self._replace(np.flatnonzero(due).astype(np.int32), x, slip)
         return True

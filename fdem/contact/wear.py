@@ -89,7 +89,7 @@ def refuse_leaps(c: Contacts, x_old: Array, x: Array) -> None:
     """
     s = c.surfaces
     motion = np.zeros(s.n_blocks)
-    upkeep.block_motion(s.surface_gp, s.surface_start, x, x_old, motion)
+    upkeep.block_motion(s.movers, s.surface_gp, s.surface_start, x, x_old, motion)
     if not 2.0 * motion.max(initial=0.0) > s.room.min(initial=np.inf):
         return
     first = s.surface_start[:-1]

@@ -73,6 +73,7 @@ class System:
         self.stale = True
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
+        self._moving = max((b.gridpoints.stop for b in model.batches), default=0)  # those of fixed blocks come last
         self._first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
         self.stiffening = contacts is not None and contacts.curved  # joints whose stiffness grows as they close
         self._torques = [load for load in loads if isinstance(load, Torque)]
@@ -183,7 +184,7 @@ class System:
         if self.particles is not None:
             self.particles.commit()
         if self._keeps_old:
-            self.state.x_old[:] = self.state.x
+            self.state.x_old[: self._moving] = self.state.x[: self._moving]
 
     def pending_work(self) -> float:
         """Work [J] of loads and prescribed motion over the last step, by the trapezoidal rule."""
