@@ -124,8 +124,8 @@ class Parking(Contacts):
 
         All motion up to now is then known to detection, so that it need not look at parked pairs, nor when they return.
         """
-        x, moved = self._x, np.zeros(len(blocks))
-        upkeep.block_motion(self.surfaces.surface_gp, self.surfaces.surface_start, x, self.x_ref, moved)
+        x, s, moved = self._x, self.surfaces, np.zeros(len(blocks))
+        upkeep.block_motion(s.movers, s.surface_gp, s.surface_start, x, self.x_ref, moved)
         far = moved > 0.25 * self._skins
         held = self.asleep | self._static | blocks
         due = bool((far & blocks).any() or worn_pairs(self, x)[held[self.pairs].all(axis=1)].any())
