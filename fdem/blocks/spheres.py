@@ -178,7 +178,8 @@ class SphereBlocks:
 
     def turn(self, q: Array, v: Array, dt: float) -> Array:
         """Rotation vectors (n_blocks, 3) [rad] of the step ``dt``."""
-        return np.multiply(self._v(v)[:, 3:], dt, out=self._turn)
+        kernels.ball_turn(self._v(v), dt, self._turn)
+        return self._turn
 
     def rotation(self, q: Array, x: Array | None = None) -> Array:
         """Not a number, (n_blocks, 3, 3): no orientation is kept."""

@@ -299,32 +299,42 @@ def carry_pairs(old_start, old_partner, old_memory, at_old, start, partner, memo
 
 
 @kernel
-def travelled(gp, spin, x, x_old, x_ref, allowed, radius, v, dt, turn):
-    """Add to the rotation since the last commit, and tell how far particles went.
+def follow(order, gp, spin, x, x_old, x_ref, allowed, radius, v, dt, turn, place, motion):
+    """Follow a step: rotations since the last commit, positions and motions in packed order as `pack` gives them.
 
-    ========  ====================  ==================================================
-    gp, spin  (n,)                  gridpoint, and first rotational velocity in `v` (-1: does not turn)
-    x, x_old  (n_gp, 3)             positions now, and at the last commit [m]
-    x_ref     (n, 3)                positions when pairs were last looked for [m]
-    allowed   (n,)                  motion after which they are looked for again [m]
-    radius    (n,)                  [m]
-    v         (n_dofs,)             velocities of the step just made
-    dt        float                 its length [s]
-    turn      (n, 3)                in, out: rotation since the last commit [rad]
-    ========  ====================  ==================================================
+    ================  ============  ==================================================
+    order, gp         (n,)          as for `pack`
+    spin              (n,)          first rotational velocity of each particle in `v` (-1: does not turn)
+    x, x_old          (n_gp, 3)     positions now, and at the last commit [m]
+    x_ref             (n, 3)        positions when pairs were last looked for [m]
+    allowed           (n,)          motion after which they are looked for again [m]
+    radius            (n,)          [m]
+    v                 (n_dofs,)     velocities of the step just made
+    dt                float         its length [s]
+    turn              (n, 3)        in, out: rotation since the last commit [rad]
+    place, motion                   out, as for `pack`
+    ================  ============  ==================================================
 
     Returns whether pairs are due, and the largest motion since the last commit over the radius.
     """
     due, fast = False, 0.0
-    for p in range(len(gp)):
-        g, s = gp[p], spin[p]
+    for i in range(len(order)):
+        p = order[i]
+        g, s, r, most = gp[p], spin[p], radius[p], allowed[p]
+        px, py, pz = x[g, 0], x[g, 1], x[g, 2]
+        ux, uy, uz = px - x_old[g, 0], py - x_old[g, 1], pz - x_old[g, 2]
+        a, b, c = px - x_ref[p, 0], py - x_ref[p, 1], pz - x_ref[p, 2]
+        ox, oy, oz = turn[p, 0], turn[p, 1], turn[p, 2]
         if s >= 0:
-            for d in range(3):
-                turn[p, d] += dt * v[s + d]
-        a, b, c = x[g, 0] - x_ref[p, 0], x[g, 1] - x_ref[p, 1], x[g, 2] - x_ref[p, 2]
-        due |= not a * a + b * b + c * c <= allowed[p] * allowed[p]
-        a, b, c = x[g, 0] - x_old[g, 0], x[g, 1] - x_old[g, 1], x[g, 2] - x_old[g, 2]
-        fast = max(fast, (a * a + b * b + c * c) / (radius[p] * radius[p]))
+            ox, oy, oz = ox + dt * v[s], oy + dt * v[s + 1], oz + dt * v[s + 2]
+            turn[p, 0], turn[p, 1], turn[p, 2] = ox, oy, oz
+        place[i, 0], place[i, 1], place[i, 2] = px, py, pz
+        motion[i, 0], motion[i, 1], motion[i, 2] = ux, uy, uz
+        motion[i, 3], motion[i, 4], motion[i, 5] = ox, oy, oz
+        due |= not a * a + b * b + c * c <= most * most
+        square = ux * ux + uy * uy + uz * uz
+        if square > fast * (r * r):
+            fast = square / (r * r)
     return due, math.sqrt(fast)
 
 

@@ -360,3 +360,10 @@ def ball_advance(q, v, dt):
         q[b, 0] += dt * v[b, 0]
         q[b, 1] += dt * v[b, 1]
         q[b, 2] += dt * v[b, 2]
+
+
+@kernel
+def ball_turn(v, dt, turn):
+    """Rotation vectors (n, 3) [rad] of a step `dt` [s] with v (n, 6)."""
+    for b in range(len(turn)):
+        turn[b, 0], turn[b, 1], turn[b, 2] = dt * v[b, 3], dt * v[b, 4], dt * v[b, 5]
