@@ -32,6 +32,7 @@ bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python benchmarks/step.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/flex.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/contact.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/bodies.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/jointed.py
 
 docs: $(STAMP)

@@ -93,9 +93,11 @@ def carry(old: Carrier, sim: Simulation, *, motion: bool = True) -> None:
 
 def _carry_block(old: Carrier, sim: Simulation, before: int, after: int, motion: bool) -> None:
     source, target = old.model.batch_of(before), sim.model.batch_of(after)
-    if source is None or target is None or type(source) is not type(target):
-        return
     rows = int(old.model.batch_row[before]), int(sim.model.batch_row[after])
+    if source is None or target is None or type(source) is not type(target):
+        if target is not None:
+            target.fit(rows[1], sim.state.q, sim.state.x)
+        return
     a, b = source.coords_of(rows[0]), target.coords_of(rows[1])
     sim.state.q[b] = old.state.q[a]
     sim.system.q0[b] = old.system.q0[a]
@@ -262,7 +264,7 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
             setattr(system, name, saved[name])
     system.scaled = [saved.get(f"scaled_{i}") for i in range(len(system.scaled))]
     for i, group in enumerate(system.constraints.coupled):
-        group.weigh(saved[f"coupled_{i}"])
+        group.weigh(saved[f"coupled_{i}"], sim.integrator.scaled)
     if system.contacts is not None:
         system.contacts.restore({k[len("contacts_") :]: v for k, v in saved.items() if k.startswith("contacts_")})
     if system.particles is not None:

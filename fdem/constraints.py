@@ -99,15 +99,22 @@ class Coupled:
         """Whether anything but zero is prescribed."""
         return any(condition.target is not None for condition in self.conditions)
 
-    def weigh(self, inverse: np.ndarray) -> None:
-        """Take `inverse` (d, d) as the inverse of the mass matrix."""
+    def weigh(self, inverse: np.ndarray, fictitious: bool = False) -> None:
+        """Take `inverse` (d, d) as the inverse of the mass matrix.
+
+        A motion that is prescribed anew then moves the rest of the block as an impact would; not with `fictitious`
+        masses, whose impact would be fictitious too.
+        """
         C, self.inverse = self.rows, inverse
-        # by a power of two to 1, so that what counts as dependent does not depend on units
-        scale = np.exp2(-np.round(np.log2(np.maximum(np.linalg.norm(C @ inverse, axis=1), np.finfo(float).tiny))))
-        gram = C @ inverse @ C.T * np.sqrt(scale[:, None] * scale[None, :])
-        middle = np.linalg.pinv(gram, rcond=1e-11, hermitian=True) * np.sqrt(scale[:, None] * scale[None, :])
+        gram = C @ inverse @ C.T
+        # powers of two bring the diagonal near to 1, so that what counts as dependent does not depend on units
+        scale = np.exp2(-np.round(0.5 * np.log2(np.diag(gram) / np.diag(gram).max())))
+        both = scale[:, None] * scale[None, :]
+        middle = np.linalg.pinv(gram * both, rcond=1e-11, hermitian=True) * both
         self._forces = middle @ C @ inverse
-        self._free = np.eye(C.shape[1]) - inverse @ C.T @ middle @ C
+        lift = inverse @ C.T @ middle
+        self._free = np.eye(C.shape[1]) - lift @ C
+        self._lift = np.linalg.pinv(C) if fictitious else lift
 
     def given(self, v: np.ndarray) -> np.ndarray:
         """Return what is prescribed of velocities `v` (d,) of the block."""
@@ -135,7 +142,7 @@ class Coupled:
                 arrived = ahead <= max(ARRIVED * whole, 2.0 * np.finfo(float).eps / APPROACH * place)
                 wanted = (1.0 if arrived else APPROACH) / dt * left
             given += np.linalg.pinv(condition.rows) @ (condition.rows @ wanted)
-        v[self.dofs] = self._free @ (v[self.dofs] - given) + given
+        v[self.dofs] += self._lift @ (self.rows @ (given - v[self.dofs]))
 
     def aim(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Coordinates (d,) at which velocities `v` arrive straight on."""

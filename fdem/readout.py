@@ -144,13 +144,21 @@ class Readout:
         return result
 
     def surface_stress(self, triangles: np.ndarray) -> np.ndarray:
-        """Stress (n, 6) [Pa] at surface triangles (rows of the model's); nan where a block has none."""
-        model, result = self.model, np.full((len(triangles), 6), np.nan)
-        block, middle = model.triangle_block[triangles], model.X[model.triangles[triangles]].mean(axis=1)
+        """Stress (n, 6) [Pa] at surface triangles (rows of the model's) without zones; nan where a block has none."""
+        model = self.model
+        return self._stress_at(model.triangle_block[triangles], model.X[model.triangles[triangles]].mean(axis=1))
+
+    def gridpoint_stress(self) -> np.ndarray:
+        """Stress (n_gp, 6) [Pa] at gridpoints without zones; nan at others, and where a block has none."""
+        return self._stress_at(self.model.gp_block, self.model.X)
+
+    def _stress_at(self, block: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Stress (n, 6) [Pa] at reference places of the blocks `block` (n,) that have strain but no zones."""
+        model, result = self.model, np.full((len(places), 6), np.nan)
         for number, batch in enumerate(model.batches):
             mine = model.batch_index[block] == number
-            if batch.has_strain and mine.any():
-                result[mine] = batch.stress_at(self.state.q, model.batch_row[block[mine]], middle[mine])
+            if batch.has_strain and not batch.in_place and mine.any():
+                result[mine] = batch.stress_at(self.state.q, model.batch_row[block[mine]], places[mine])
         return result
 
     def contact_table(self) -> dict[str, Any]:

@@ -56,6 +56,7 @@ def make_view(blocks: int = 3, scale: float = 1.0) -> SimpleNamespace:
     return SimpleNamespace(
         model=model, time=0.5, steps=10, positions=lambda: X + u, displacements=lambda: u, velocities=lambda: 10 * u,
         zone_stresses=lambda: stress, block_stress=lambda: inner, contact_table=lambda: table,
+        gridpoint_stress=lambda: inner[model.gp_block],
         surface_stress=lambda rows: inner[model.triangle_block[rows]],
     )  # fmt: skip
 

@@ -16,14 +16,13 @@ if TYPE_CHECKING:
 __all__ = [
     "GRADIENTS",
     "axial",
-    "confined",
     "cross",
     "fictitious",
-    "free_modes",
     "inner",
     "inverse",
     "largest",
     "masses",
+    "motions",
     "outer",
     "spread",
     "turns",
@@ -134,7 +133,7 @@ def inner(blocks: FieldBlocks, q: Array) -> Array:
 
 
 def fictitious(blocks: FieldBlocks, q: Array, springs: Springs, swing: float) -> Array:
-    """Fictitious masses, their inverses, modes and mass times modes (4, n_blocks, width, width), in the blocks' frames.
+    """Fictitious mass matrices and their inverses (2, n_blocks, width, width), in the frames of the blocks.
 
     The mass is the stiffness of the block, strains and joints together, so that stiff rock on soft joints takes no
     longer; motions that are softer than the stiffest of the joints get the mass a rigid block would have. `swing` is
@@ -154,36 +153,43 @@ def fictitious(blocks: FieldBlocks, q: Array, springs: Springs, swing: float) ->
     modes, mass = np.swapaxes(root, 1, 2) @ vectors, blocks.mass[:, None, None]
     carried = masses(blocks) @ modes
     frame = (carried * squares[:, None, :]) @ np.swapaxes(carried, 1, 2) / mass
-    return np.stack([frame, (modes / squares[:, None, :]) @ np.swapaxes(modes, 1, 2) / mass, modes, carried])
+    return np.stack([frame, (modes / squares[:, None, :]) @ np.swapaxes(modes, 1, 2) / mass])
 
 
-def free_modes(blocks: FieldBlocks, q: Array) -> Array:
-    """Modes and mass times modes (2, n_blocks, width, width) of blocks on their own at the start.
+def motions(blocks: FieldBlocks, row: int, q: Array, stiffness: Array, rows: Array | None = None) -> Array:
+    """Motions that one block is damped by, and mass times these (2, width, width), in columns; the rest zeros.
 
-    Translations and rotations first, each by itself, then the modes of strain.
+    Translations first, then rotations, then modes of strain: orthogonal in the mass, and all obeying ``rows v = 0``. A
+    force that strains shall not brake a rotation, nor one mode of strain another.
+
+    Parameters
+    ----------
+    blocks, row, q : FieldBlocks, int, (n_q,) array
+        The batch, the block, and the configuration at the start.
+    stiffness : (width, width) array
+        `inner` of the block.
+    rows : (m, width) array, optional
+        Conditions on its unknowns.
     """
-    mass, root = masses(blocks), _root(blocks)
-    rigid = np.stack([blocks.theory(row, q)[:, :6] for row in range(blocks.n_blocks)])
-    # rotations about the principal axes do not mix
-    turning = np.swapaxes(rigid[:, :, 3:], 1, 2) @ (mass @ rigid[:, :, 3:]) / mass[:, :1, :1]
-    rigid[:, :, 3:] = rigid[:, :, 3:] @ np.linalg.eigh(turning)[1]
-    vectors = np.linalg.eigh(_reduced(blocks, root, inner(blocks, q)))[1]
-    modes = np.swapaxes(root, 1, 2) @ vectors
-    modes[:, :, :6] = rigid
-    return np.stack([modes, mass @ modes])
-
-
-def confined(stiffness: Array, mass: Array, rows: Array) -> Array:
-    """Modes and mass times modes (2, width, width) of one block whose motions v obey ``rows v = 0``; rest zeros."""
-    lower = np.linalg.inv(np.linalg.cholesky(mass / mass[0, 0]))
-    _, size, right = np.linalg.svd(rows @ lower.T)
-    basis = right[int((size > 1e-9 * size[0]).sum()) :]
-    own = basis @ lower
-    result = np.zeros((2, *mass.shape))
-    if len(own):
-        vectors = np.linalg.eigh(own @ stiffness @ own.T)[1]
-        result[0, :, : len(own)] = own.T @ vectors
-        result[1] = mass @ result[0]
+    root = _root(blocks)[row]
+    factor = np.linalg.inv(root).T  # unknowns in which the mass matrix over the mass is 1
+    rigid = factor @ blocks.theory(row, q)[:, :6]
+    limits = np.zeros((1, blocks.width)) if rows is None else rows @ root.T
+    found = np.zeros((blocks.width, 0))
+    for span in (rigid[:, :3], rigid, np.eye(blocks.width)):
+        span = span / np.linalg.norm(span, axis=0)
+        span = span - found @ (found.T @ span)
+        left, size, _ = np.linalg.svd(span, full_matrices=False)
+        span = left[:, size > 1e-6]
+        _, size, right = np.linalg.svd(limits @ span)
+        span = span @ right[int((size > 1e-9 * np.linalg.norm(limits)).sum()) :].T
+        inner_part = span.T @ (root @ stiffness @ root.T) @ span
+        # those of no stiffness are told apart by what they are, not by round-off
+        order = np.linalg.eigh(inner_part)[1] if span.shape[1] > 3 else np.eye(span.shape[1])
+        found = np.hstack([found, span @ order])
+    result = np.zeros((2, blocks.width, blocks.width))
+    result[0, :, : found.shape[1]] = root.T @ found
+    result[1] = masses(blocks)[row] @ result[0]
     return result
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -104,7 +105,7 @@ class FieldBlocks:
         self.phi = self.material = self.functions(self._X - self.centre0[self._owner], self._owner)
         self._inverse = fieldmasses.inverse(self.moments, self.mass)
         self._turned = np.zeros((self.n_blocks, 3))  # by the last step
-        self._modes: Any = None  # of local damping with the true masses, made when asked for
+        self._limits: dict[int, Array] = {}
         self.stress0 = np.zeros((0, 6))
         self.rows = np.arange(self.n_blocks)
         self.size = np.cbrt(self.volume)
@@ -135,6 +136,19 @@ class FieldBlocks:
     def place(self, q: Array, x: Array) -> None:
         """Write the positions of the batch's gridpoints into `x` [m]."""
         kernels.place(self._q(q), self._X, self.centre0, self.phi, self._start, x[self.gridpoints])
+
+    def fit(self, row: int, q: Array, x: Array) -> None:
+        """Give one block the motion nearest to the gridpoint positions `x` [m], and place these there."""
+        own = slice(*self._start[row : row + 2])
+        moved = x[self.gridpoints][own] - self._X[own]
+        scale = np.abs(self.phi[own]).max(axis=0)
+        basis = np.hstack([np.ones((len(moved), 1)), self.phi[own] / scale])
+        found = np.linalg.lstsq(basis, moved, rcond=None)[0]
+        self._q(q)[row, :3] = self.centre0[row] + found[0]
+        rest = found[1:].T / scale
+        rest[:, :3] += np.eye(3)
+        self._q(q)[row, 3:] = rest.ravel()
+        self.place(q, x)
 
     def show(self, q: Array, x: Array) -> None:
         """Write where the material points of the batch's gridpoints are into `x` [m]."""
@@ -187,28 +201,24 @@ class FieldBlocks:
         else:
             kernels.relax(self._q(q), self._v(f), scaled[1], self._v(a))
 
-    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array, scaled: Array | None = None) -> None:
-        """Write local damping into `out`: a share of the force of every mode, against its rate."""
-        if scaled is None and self._modes is None:
-            self._set_modes()
-        modes = self._modes if scaled is None else scaled[2:]
-        kernels.resist(self._q(q), self._v(f), self._v(v), share, *modes, self._v(out))
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
+        """Write local damping into `out`: a share of the force of every motion, against its rate."""
+        kernels.resist(self._q(q), self._v(f), self._v(v), share, *self._damped, self._v(out))
 
-    def _set_modes(self) -> None:
+    @cached_property
+    def _damped(self) -> Array:
+        """Motions that local damping acts on and mass times these (2, n_blocks, width, width); see `motions`."""
         start = np.zeros(self.coords.stop)
         self.start(start)
-        self._modes = fieldmasses.free_modes(self, start)
+        inner = fieldmasses.inner(self, start)
+        rows = range(self.n_blocks)
+        limits = self._limits
+        made = [fieldmasses.motions(self, row, start, inner[row], limits.get(row)) for row in rows]
+        return np.ascontiguousarray(np.stack(made, axis=1))
 
-    def confine(self, row: int, q: Array, rows: Array, springs: Springs, scaled: Array | None) -> None:
-        """Let the modes of one block obey the conditions ``rows v = 0`` on its unknowns."""
-        stiffness, turn = fieldmasses.inner(self, q)[row], fieldmasses.turns(self, q)[row]
-        if scaled is None:
-            if self._modes is None:
-                self._set_modes()
-            modes = self._modes
-        else:
-            stiffness, modes = stiffness + fieldmasses.outer(self, springs)[row], scaled[2:]
-        modes[:, row] = fieldmasses.confined(turn.T @ stiffness @ turn, self.masses()[row], rows @ turn)
+    def confine(self, row: int, rows: Array) -> None:
+        """Take note of conditions ``rows v = 0`` on the unknowns of one block, before anything is damped."""
+        self._limits[row] = rows
 
     def kinetic(self, q: Array, v: Array) -> float:
         """Kinetic energy [J]."""
@@ -235,7 +245,7 @@ class FieldBlocks:
         return float(fieldmasses.largest(self, fieldmasses.spread(self, c_gp))[self.free].max(initial=0.0))
 
     def scaled_masses(self, q: Array, springs: Springs, swing: float) -> Array:
-        """Fictitious masses, inverses and modes (4, n_blocks, width, width); see `fieldmasses.fictitious`."""
+        """Fictitious mass matrices and inverses (2, n_blocks, width, width); see `fieldmasses.fictitious`."""
         return fieldmasses.fictitious(self, q, springs, swing)
 
     def scaled_kinetic(self, q: Array, v: Array, scaled: Array) -> float:

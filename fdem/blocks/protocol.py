@@ -73,9 +73,7 @@ class Blocks(Protocol):
     def advance(self, q: np.ndarray, v: np.ndarray, dt: float, scaled: Any = None) -> None:
         """Move `q` by `dt` [s] at fixed momentum, updating `v` where the inertia rotates."""
 
-    def resist(
-        self, q: np.ndarray, f: np.ndarray, v: np.ndarray, share: float, out: np.ndarray, scaled: Any = None
-    ) -> None:
+    def resist(self, q: np.ndarray, f: np.ndarray, v: np.ndarray, share: float, out: np.ndarray) -> None:
         """Write forces that resist the motion `v`, a `share` of the forces `f` by components, into `out`."""
 
     def kinetic(self, q: np.ndarray, v: np.ndarray) -> float:
@@ -103,6 +101,9 @@ class Blocks(Protocol):
         self, q: np.ndarray, x: np.ndarray, unbalanced: np.ndarray, pushes: np.ndarray, gravity: float, scaled: Any
     ) -> float:
         """Largest unbalanced force over the largest force acting."""
+
+    def fit(self, row: int, q: np.ndarray, x: np.ndarray) -> None:
+        """Take over one block whose gridpoints another formulation has moved to `x`: write `q`, and its own `x`."""
 
     # readout, (n_blocks, ...) of the whole batch
 

@@ -103,6 +103,23 @@ class RigidBlocks:
     def show(self, q: Array, x: Array) -> None:
         """Nothing: gridpoints are material points."""
 
+    def fit(self, row: int, q: Array, x: Array) -> None:
+        """Give one block the rotation and place nearest to the gridpoint positions `x` [m], and place these there."""
+        own = slice(*self._start[row : row + 2])
+        before, after = self._X[own], x[self.gridpoints][own]
+        first, last = before.mean(axis=0), after.mean(axis=0)
+        left, _, right = np.linalg.svd((after - last).T @ (before - first))
+        left[:, 2] *= np.sign(np.linalg.det(left @ right))
+        turn = left @ right
+        self._q(q)[row, :3] = last + turn @ (self.centre0[row] - first)
+        # the quaternion is the eigenvector of 4 q q^T - 1
+        outer = np.empty((4, 4))
+        outer[0, 0] = np.trace(turn)
+        outer[0, 1:] = outer[1:, 0] = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+        outer[1:, 1:] = turn + turn.T - np.trace(turn) * np.eye(3)
+        self._q(q)[row, 3:] = np.linalg.eigh(outer)[1][:, 3]
+        self.place(q, x)
+
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write the gridpoint velocities ``v + omega x r`` into ``xdot`` [m/s]."""
         kernels.rigid_push(self._q(q), self._v(v), self._X, self.centre0, self._start, xdot[self.gridpoints])
@@ -154,7 +171,7 @@ class RigidBlocks:
         """
         kernels.rigid_advance(self._q(q), self._v(v), dt, self.moments, self.axes)
 
-    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array, scaled: Array | None = None) -> None:
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
         """Write local damping into `out`: a share of the force against every unknown's velocity."""
         out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
 
@@ -377,8 +394,6 @@ class RigidBlocks:
         matrix[:, 3:, 3:] = self.inertia(q)
         return matrix
 
-    # for implicit methods
-
     def mass_entries(self, q: Array) -> entries.Entries:
         """Mass matrix at the configuration `q`."""
         return entries.of_blocks(self.dofs.start + 6 * np.arange(self.n_blocks), self.generalised_mass(q))
@@ -390,12 +405,7 @@ class RigidBlocks:
     def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
         """``(dP^T/dq) f_gp``: moments about the centroid change as arms turn, ``sum [f]x [r]x`` by rotation.
 
-        Parameters
-        ----------
-        q : (n_q,) array
-            Configuration.
-        f_gp : (n_gp, 3) array
-            Forces on gridpoints [N].
+        Of gridpoint forces `f_gp` (n_gp, 3) [N] at the configuration `q`.
         """
         arm = np.einsum("nij,nj->ni", np.repeat(self.rotation(q), np.diff(self._start), axis=0), self._arms())
         force = f_gp[self.gridpoints]

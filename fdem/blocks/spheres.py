@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from fdem.blocks import entries
 from fdem.blocks.bounds import Springs, share
 from fdem.errors import SceneError
 from fdem.kernels import spheres as kernels
@@ -73,6 +74,10 @@ class SphereBlocks:
         """Write the centres into ``x`` [m]."""
         x[self.gridpoints] = self._q(q)
 
+    def fit(self, row: int, q: Array, x: Array) -> None:
+        """Take over one sphere whose centre another formulation has moved to `x` [m]."""
+        self._q(q)[row] = x[self.gridpoints][row]
+
     def show(self, q: Array, x: Array) -> None:
         """Nothing: a centre is a material point."""
 
@@ -99,7 +104,7 @@ class SphereBlocks:
         """Move the centres by ``dt`` [s]; angular velocities are momenta and stay."""
         kernels.ball_advance(self._q(q), self._v(v), dt)
 
-    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array, scaled: Array | None = None) -> None:
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
         """Write local damping into `out`: a share of the force against every unknown's velocity."""
         out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
 
@@ -207,6 +212,22 @@ class SphereBlocks:
     def generalised_displacement(self, row: int, q: Array, displacement: Array, moved: Array, turned: Array) -> Array:
         """The theory's u (6,): translation [m] and accumulated rotation [rad]."""
         return np.concatenate([moved, turned])
+
+    def mass_entries(self, q: Array) -> entries.Entries:
+        """Mass matrix, constant."""
+        masses = np.concatenate(
+            [np.repeat(self.mass[:, None], 3, axis=1), np.repeat(self.moment[:, None], 3, axis=1)], 1
+        )
+        own = np.arange(self.dofs.start, self.dofs.stop)
+        return own, own, masses.ravel()
+
+    def tangent(self, q: Array, x: Array) -> entries.Entries:
+        """Nothing: there are no internal forces."""
+        return entries.nothing()
+
+    def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
+        """Nothing: forces act at the centres."""
+        return entries.nothing()
 
     def _q(self, q: Array) -> Array:
         return q[self.coords].reshape(self.n_blocks, 3)

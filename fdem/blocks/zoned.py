@@ -204,6 +204,9 @@ class ZonedBlocks:
         np.multiply(v[self.dofs], dt, out=self._motion)
         q[self.coords] += self._motion
 
+    def fit(self, row: int, q: Array, x: Array) -> None:
+        """Nothing: the positions are the unknowns."""
+
     # forces
 
     def internal(self, q: Array, x: Array, f: Array) -> None:
@@ -235,7 +238,7 @@ class ZonedBlocks:
 
     # energies
 
-    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array, scaled: Array | None = None) -> None:
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
         """Write a `share` of every force, against the velocity, into `out`."""
         out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
 
@@ -420,8 +423,6 @@ class ZonedBlocks:
             if isinstance(term, SmallStrain):
                 term.local_range(x[self.gridpoints], self.deformation(x), strain, rotation)
         return strain, rotation
-
-    # for implicit methods
 
     def mass_entries(self, q: Array) -> entries.Entries:
         """Mass matrix."""

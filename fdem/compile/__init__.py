@@ -145,6 +145,7 @@ def _surfaces(layout: Layout, model: Model) -> list[Any]:
                 fixed=bool(model.fixed[i]),
                 volume=0.0 if isinstance(shape, Surface) else float(model.volume[i]),
                 mass=np.inf if model.fixed[i] else float(model.mass[i]),
+                whole=kind != "zoned",
                 behind=None if mesh is None else (_behind if kind == "zoned" else _opposite)(mesh) + start,
             )
         )

@@ -95,7 +95,7 @@ class Contacts:
         with np.errstate(divide="ignore"):
             self._inverse_gp = np.where(self._mobile_gp, 1.0 / np.asarray(gp_mass, dtype=float), 0.0)
             inverse_block = np.where(np.isfinite(s.mass), 1.0 / s.mass, 0.0)
-        self._inverse_block = np.where((s.affine == 1) | (s.fixed == 1), inverse_block, -1.0)
+        self._inverse_block = np.where((s.whole == 1) | (s.fixed == 1), inverse_block, -1.0)
         self.work = np.zeros(2)
         self.n_detections, self.n_cuts = 0, 0
         self._stored: float | None = 0.0
@@ -309,13 +309,14 @@ class Contacts:
         ):  # fmt: skip
             np.minimum.at(tolerance, blocks[pair], r)
         self._tolerance = tolerance
-        depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._partner: Ints | None = None
         self._close_arguments = (p.gp, p.start, p.corners, p.offset, p.flags, p.limit, p.ref_points, p.ref_ratio)
-        self._closed = (self._area, self._gap, depth, face_normal)
+        self._closed = (self._area, self._gap, self._depth, face_normal)
         self._face_normal = face_normal
         self._rows = (
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
-            self._pair_area, cluster_normal, self._foot, depth, face_normal,
+            self._pair_area, cluster_normal, self._foot, self._depth, face_normal,
         )  # fmt: skip
 
     def forces(self, x: Array, x_old: Array, dt: float, f_gp: Array) -> None:

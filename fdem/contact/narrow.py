@@ -58,6 +58,7 @@ class Patches:
     reach: Array
     normal_reach: Array
     cluster: Ints
+    metric: Array
 
     def __len__(self) -> int:
         return len(self.pair)
@@ -103,6 +104,7 @@ class Patches:
             flags=np.zeros(0, np.uint8), limit=z, law=i, prop=i, joint=i, points_old=np.zeros((0, 3, 2)),
             active_old=np.zeros(0, np.uint8), area_old=z, memory_old=np.zeros((0, memory)),
             failure=np.zeros((0, 3), np.uint8), w_clip=np.zeros((0, 7)), reach=z, normal_reach=z, cluster=i,
+            metric=np.zeros((0, 3)),
         )  # fmt: skip
 
 
@@ -139,6 +141,12 @@ class Cut:
     depth: Array
     plane_depth: Array
     centre: Array
+
+
+def metric_of(gp: Ints, x: Array) -> Array:
+    """Squares and product (n, 3) of two edges of the slaves' reference triangles: g11, g12, g22 [m2]."""
+    e1, e2 = x[gp[:, 1]] - x[gp[:, 0]], x[gp[:, 2]] - x[gp[:, 0]]
+    return np.column_stack([np.einsum("ij,ij->i", *p) for p in ((e1, e1), (e1, e2), (e2, e2))])
 
 
 def cut_pairs(
@@ -192,6 +200,7 @@ def cut_pairs(
         active_old=np.zeros(n, np.uint8), area_old=np.zeros(n), memory_old=np.zeros((3 * n, memory)),
         failure=np.zeros((n, 3), np.uint8),
         w_clip=np.zeros((3 * n, 7)), reach=np.zeros(n), normal_reach=np.zeros(n), cluster=np.zeros(n, np.int32),
+        metric=metric_of(gp, x),
     )  # fmt: skip
     footprints.reference_points(start, corners, p.ref_points, p.ref_ratio)
     area, closed, align, depth = sizes = [np.zeros(n) for _ in range(4)]
@@ -217,8 +226,7 @@ def cut_pairs(
     dropped = np.flatnonzero(~keep & empty[local])
     ghosts = _ghosts(s, which, empty, miss_face, nearest + TRAVEL * travel, x, p, local, dropped, area, depth)
     ids = np.flatnonzero(keep)
-    if len(ids) < n:
-        p = p.take(ids)
+    p = p.take(ids) if len(ids) < n else p
     # where corners meet, two places agree within what merging faces moves them
     upkeep.clusters(p.pair, align[ids] > ALIGNED, p.gp, p.start, p.corners, x, TOUCH * s.size[slave], p.cluster)
     kernels.weights_at(p.gp, s.has_behind[p.face_m], p.ref_points, x, p.w_clip)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdem.contact.corners import stored_in_corners
+from fdem.kernels import energy, response
 from fdem.kernels import patches as kernels
-from fdem.kernels import response
 
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
@@ -120,8 +120,12 @@ def pace(c: Contacts, xdot: Array, change: Array) -> Array:
 
 
 def stored(c: Contacts, memory: Array, active: Any) -> float:
-    """Elastic energy [J] of all contacts with the history `memory` at the gaps and areas of the last `forces`."""
-    total = stored_in_corners(c)
+    """Elastic energy [J] of all contacts with the history `memory` at the gaps and areas of the last `forces`.
+
+    With ``p = kn depth`` exact for every overlap of polyhedra (kernels/energy.py); with other laws without what passes
+    through the walls between cells, which matters while an edge or corner of the master is overlapped.
+    """
+    total = stored_in_corners(c) + _through_walls(c, active)
     for k, law in enumerate(c.laws):
         lo, hi = c._law_start[k], c._law_start[k + 1]
         if hi == lo:
@@ -132,6 +136,20 @@ def stored(c: Contacts, memory: Array, active: Any) -> float:
             law.closure(3 * lo, 3 * hi, c._gap, c.patches.prop, law.props, memory, c._response)
             total += response.stored(c._area, c._facing, memory, c._ks, active, c._response, lo, hi)
     return float(total)
+
+
+def _through_walls(c: Contacts, active: Any) -> float:
+    """Energy [J] that passes through the walls between the cells of masters."""
+    p = c.patches
+    if c._partner is None:
+        c._partner = np.full(len(p.corners), -1, dtype=np.int32)
+        order = np.lexsort((p.face_s, p.pair)).astype(np.int32)
+        energy.partners(order, p.pair, p.face_s, p.flags, p.start, p.corners, c._partner)
+    kn = c._kn
+    for k, law in enumerate(c.laws):
+        if law.closure is not None and c._law_start[k + 1] > c._law_start[k]:
+            kn = np.where(p.law == k, 0.0, kn)
+    return float(energy.wall_energy(p.start, p.corners, c._partner, p.metric, c._depth, c._push, c._foot, kn, active))
 
 
 def slip_energies(c: Contacts) -> Array:

@@ -23,7 +23,9 @@ GAP = 1e-3  # default gap tolerance, of the smaller block's size
 PARALLEL = float(np.cos(np.radians(15.0)))
 TOUCH = 1e-6  # of the size: gap below which a contact exists at compile when the gap tolerance is off
 # what the last `forces` left behind: energy() and table() read it
-_LAST = ("active", "w", "gap", "area", "align", "normal", "push", "foot", "facing", "traction", "state", "bound")
+_LAST = (
+    "active", "w", "gap", "area", "align", "normal", "push", "foot", "depth", "facing", "traction", "state", "bound",
+)  # fmt: skip
 
 
 def close_gaps(c: Contacts, cut: Cut) -> dict[str, float]:

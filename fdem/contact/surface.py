@@ -52,6 +52,8 @@ class BlockSurface:
         Mass [kg]; infinite for fixed blocks.
     behind : (k,) int array, optional
         Per face a gridpoint off its plane (fourth vertex of the zone). None: chosen.
+    whole : bool, optional
+        The block has few unknowns: dashpots move all its mass, not that of gridpoints (affine blocks always do).
     """
 
     loops: Any
@@ -62,6 +64,7 @@ class BlockSurface:
     volume: float
     mass: float
     behind: Any = None
+    whole: bool = False
 
 
 @dataclass
@@ -84,7 +87,7 @@ class Surfaces:
         0 where no gridpoint lies off the plane; its weight is then 0.
     limit : (n_faces,)
         Largest admissible depth [m]; infinite on open surfaces.
-    convex, affine, open, fixed : (n_blocks,) uint8
+    convex, affine, open, fixed, whole : (n_blocks,) uint8
     sharp : (n_blocks,)
         Cosine of the angle below which an edge bounds a face's cell.
     size, room, most, volume, mass : (n_blocks,)
@@ -108,6 +111,7 @@ class Surfaces:
     affine: NDArray[np.uint8]
     open: NDArray[np.uint8]
     fixed: NDArray[np.uint8]
+    whole: NDArray[np.uint8]
     sharp: Array
     size: Array
     room: Array
@@ -173,6 +177,7 @@ class Surfaces:
             affine=np.array([b.affine for b in blocks], np.uint8),
             open=is_open,
             fixed=np.array([b.fixed for b in blocks], np.uint8),
+            whole=np.array([b.affine or b.whole for b in blocks], np.uint8),
             sharp=np.where([b.affine for b in blocks], SHARP_AFFINE, SHARP_ZONED).astype(float),
             size=np.where(is_open, np.inf, np.cbrt(np.where(is_open, 1.0, volume))),
             room=np.zeros(len(blocks)),

@@ -81,6 +81,8 @@ class System:
         self._spun = np.zeros_like(state.v) if self._torques and energy else None
         self._keeps_old = contacts is not None or particles is not None or self._load_old is not None
         self.weight = self._weight()
+        for group in constraints.coupled:
+            model.batch_of(group.block).confine(int(model.batch_row[group.block]), group.rows)
         self.weigh()
         self._terms = self._choose_terms()
         self._smallest = float(model.size[~model.fixed].min(initial=np.inf))
@@ -157,8 +159,8 @@ class System:
     def resist(self, share: float, f: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Forces that resist the motion `v`, a `share` of the forces `f` by components (n_dofs,)."""
         result = np.empty_like(f)
-        for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
-            batch.resist(self.state.q, f, v, share, result, scaled)
+        for batch in self.model.batches:
+            batch.resist(self.state.q, f, v, share, result)
         return result
 
     def prescribe(self, dt: float) -> None:
@@ -381,15 +383,11 @@ class System:
         self.weigh()
 
     def weigh(self) -> None:
-        """Tell conditions on blocks whose mass couples their unknowns what that mass is, and the blocks of them."""
-        if not self.constraints.coupled:
-            return
-        q, springs = self.state.q, self.springs()
+        """Tell conditions on blocks whose mass couples their unknowns what that mass is."""
         for group in self.constraints.coupled:
             batch, scaled = self.model.batch_of(group.block), self.scaled[self.model.batch_index[group.block]]
             row = int(self.model.batch_row[group.block])
-            group.weigh(batch.inverse_mass(row, q, scaled))
-            batch.confine(row, q, group.rows, springs, scaled)
+            group.weigh(batch.inverse_mass(row, self.state.q, scaled), scaled is not None)
 
     def scaled_kinetic(self, v: np.ndarray) -> float:
         """``v.M v`` with the fictitious masses."""

@@ -195,7 +195,7 @@ def _nodal(view: Any, scalars: str) -> Array:
     if scalars != "stress":
         return np.zeros((n, 1))
     # a gridpoint of a zoned block shows the mean of the zones around it
-    stress = np.asarray(view.block_stress(), dtype=np.float64)[model.gp_block]
+    stress = np.array(view.gridpoint_stress(), dtype=np.float64)
     if len(model.zones):
         zones = model.zones.ravel()
         count = np.bincount(zones, minlength=n)

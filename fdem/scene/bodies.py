@@ -50,7 +50,7 @@ class LinearStrain:
     Parameters
     ----------
     size : float, optional
-        Target edge [m] of the facets that contact sees; None: half the cube root of the block's volume. Faces curve,
+        Target edge [m] of the facets that contact sees; None: two thirds of the cube root of the volume. Faces curve,
         the facets between their gridpoints are flat: finer ones follow more closely and cost more contact points.
 
     Raises

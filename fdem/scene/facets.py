@@ -44,7 +44,7 @@ def facets(shape: Any, size: float | None) -> Facets:
     shape : Shape
         The body.
     size : float or None
-        Target edge [m]; None: half the cube root of the volume.
+        Target edge [m]; None: two thirds of the cube root of the volume.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def facets(shape: Any, size: float | None) -> Facets:
     faces = [int(f) for f in surface.triangle_face]
     if not _tells_quadratics(np.array(points)):
         triangles, faces = _quartered(points, triangles, faces)
-    target = 0.5 * float(np.cbrt(shape.volume)) if size is None else float(size)
+    target = 2.0 / 3.0 * float(np.cbrt(shape.volume)) if size is None else float(size)
     _bisect(points, triangles, faces, (LONGEST * target) ** 2)
     _fill(points, triangles, faces)
     return Facets(np.array(points), np.array(triangles, dtype=np.int32), np.array(faces, dtype=np.int32))

@@ -254,7 +254,7 @@ class Scene:
         return rule
 
     def fix(self, target: Any = None, component: Any = None, where: Where | None = None) -> Fix:
-        """Fix gridpoints of zoned blocks, or whole blocks of other kinds.
+        """Fix gridpoints of zoned blocks, or whole blocks of other kinds (strain included, unless with "rotation").
 
         Parameters
         ----------

@@ -381,3 +381,55 @@ def test_patch(scale):
     linear = scale * np.array([1.04e6, -5.6e5, 7.2e5, 3.2e5, -4e4, 9.2e5])
     # the linear formula differs from any finite strain by the strain and rotation itself (2e-4 of it here)
     np.testing.assert_allclose(view.stress, linear, atol=6e-4 * scale * np.abs(linear).max() + 2e-5)
+
+
+# the integrator, by a strain mode: stress is linear in the stretch, so the mode is a linear oscillator at any amplitude
+
+
+def breathing(share, steps):
+    """Stretch of all sides of a free cube over time, w dt = `share`; strain over its first value (steps + 1,)."""
+    sim, _ = alone(fdem.brick((-0.5,) * 3, (0.5,) * 3), 2000.0, young=1e9, poisson=0.25)
+    (batch,), q, v = sim.model.batches, sim.state.q, sim.state.v
+    # 12 (3 lam + 2 mu) / (rho a^2)
+    omega = np.sqrt(12 * (3 * batch.lam[0] + 2 * batch.mu[0]) / 2000.0)
+    dt, f, a = share / omega, np.zeros(12), np.zeros(12)
+    diagonal = [3, 7, 11]
+    q[diagonal] = 1.01
+    values, h = np.empty(steps + 1), 0.5 * dt
+    values[0] = 0.01
+    for n in range(steps):
+        f[:] = 0.0
+        batch.internal(q, sim.state.x, f)
+        batch.accelerate(q, f, a)
+        v += h * a
+        h = dt
+        batch.advance(q, v, dt)
+        values[n + 1] = q[3] - 1.0
+    return values / 0.01
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 1.0, 1.9])
+def test_integ_central_difference(share):
+    """Discrete period of leapfrog, sin(w_d dt / 2) = w dt / 2, to 1e-6: the values are cos(w_d t) to round-off."""
+    steps = 400
+    values = breathing(share, steps)
+    discrete = 2 * np.arcsin(share / 2)
+    np.testing.assert_allclose(values, np.cos(discrete * np.arange(steps + 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize("steps", [5_000, pytest.param(100_000, marks=pytest.mark.long)])
+def test_the_stable_step_is_sharp(steps):
+    """Bounded at 0.999 of 2 / w, unbounded at 1.001."""
+    assert np.abs(breathing(1.998, steps)).max() <= 1.0 + 1e-6
+    assert np.abs(breathing(2.002, 400)).max() > 50.0
+
+
+@pytest.mark.long
+def test_integ_energy_drift():
+    """S14: w dt = 0.2, a million steps; what leapfrog keeps exactly changes by no more than 1e-9 of itself."""
+    values = breathing(0.2, 1_000_000)
+    now, then = values[1:], values[:-1]
+    kept = now**2 + then**2 - 2 * np.cos(2 * np.arcsin(0.1)) * now * then
+    means = (kept / kept[0] - 1).reshape(100, -1).mean(axis=1)
+    assert abs(np.polyfit(np.arange(100), means, 1)[0]) * 100 <= 1e-9
+    assert np.abs(means).max() <= 1e-9
