@@ -55,7 +55,8 @@ def frame_faces(ref, corner_start, corner_x, normal, x, side, across):
         lo, hi = corner_start[f], corner_start[f + 1]
         for k in range(lo, hi):
             j = k + 1 if k + 1 < hi else lo
-            tx, ty, tz = corner_x[j, 0] - corner_x[k, 0], corner_x[j, 1] - corner_x[k, 1], corner_x[j, 2] - corner_x[k, 2]
+            ax, ay, az = corner_x[k, 0], corner_x[k, 1], corner_x[k, 2]
+            tx, ty, tz = corner_x[j, 0] - ax, corner_x[j, 1] - ay, corner_x[j, 2] - az
             side[k, 0], side[k, 1], side[k, 2] = ty * nz - tz * ny, tz * nx - tx * nz, tx * ny - ty * nx
         a, b, c = ref[f, 0], ref[f, 1], ref[f, 2]
         uu = uv = vv = 0.0
