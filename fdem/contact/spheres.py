@@ -199,6 +199,8 @@ class SphereContacts:
             np.concatenate([second, n + np.repeat(faces.block, np.diff(faces.start))]),
         )
         self.at = self.places()
+        self._gp, self._spin = p.gp[self.order].astype(np.uint32), p.spin[self.order]
+        self._before = np.column_stack([self.x_ref[self.order], self.allowed[self.order] ** 2])
         self.kind, faces.kind = kinds[: len(first)].copy(), kinds[len(first) :].copy()
         self._memory, self._held = np.zeros_like(self.memory), np.zeros_like(self.held)
         # couples need the normal forces
@@ -223,8 +225,7 @@ class SphereContacts:
         """
         p = self.particles
         due, fast = kernels.follow(
-            self.order, p.gp, p.spin, x, x_old, self.x_ref, self.allowed, p.radius, v, dt, self.turn, self.place,
-            self.motion,
+            self.order, self._gp, self._spin, x, x_old, self._before, v, dt, self.turn, self.place, self.motion
         )  # fmt: skip
         if not due and self.facets is not None:
             due = kernels.strayed(self.facets.moving_gp, x, self.face_ref, self._pad)
@@ -239,7 +240,7 @@ class SphereContacts:
 
     def _refuse_passing(self, x: Array, x_old: Array) -> None:
         p, faces = self.particles, self.faces
-        kernels.pack(self.order, p.gp, x, x_old, self.turn, self.place, self.motion)
+        kernels.pack(self.order, self._gp, x, x_old, self.turn, self.place, self.motion)
         pair = kernels.passed(self.start, self.partner, self.place, self.motion)
         group = -1
         if self.facets is not None:
@@ -281,7 +282,7 @@ class SphereContacts:
         """
         p, faces, self._dt = self.particles, self.faces, dt
         if not self._packed:
-            kernels.pack(self.order, p.gp, x, x_old, self.turn, self.place, self.motion)
+            kernels.pack(self.order, self._gp, x, x_old, self.turn, self.place, self.motion)
         self._packed = False
         self._pair_forces(self._record)
         self._face_out[:], self._couple_out[0] = 0.0, 0.0
@@ -294,7 +295,7 @@ class SphereContacts:
             faces.spread(f_gp)
         if self._couples:
             self._add_couples(x, f_gp)
-        kernels.unpack(self.at, p.gp, p.spin, self.force, f_gp, f)
+        kernels.unpack(self._gp, self._spin, self.force, f_gp, f)
         self.stiffest = max(float(self.out[4]), float(self._face_out[4]))
         self._trial = True
         if self.out[3] > 0.0 or self._face_out[3] > 0.0:
