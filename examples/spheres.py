@@ -2,8 +2,8 @@
 
     python examples/spheres.py [picture folder]
 
-Walls without friction carry no weight, so the plate carries all of it, and bends a little. The bed falls and comes to rest
-in real time, then `Relaxation` takes out the last motion.
+Walls without friction carry no weight, so the plate carries all of it, and bends a little. The bed falls and comes to
+rest in real time, then `Relaxation` takes out the last motion.
 """
 
 from __future__ import annotations

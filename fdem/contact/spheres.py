@@ -280,7 +280,7 @@ class SphereContacts:
         OverlapError
             Two spheres overlap by more than half the smaller radius, or a sphere a face by half of it; names them.
         """
-        p, faces, self._dt = self.particles, self.faces, dt
+        faces, self._dt = self.faces, dt
         if not self._packed:
             kernels.pack(self.order, self._gp, x, x_old, self.turn, self.place, self.motion)
         self._packed = False
