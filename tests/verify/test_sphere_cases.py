@@ -343,6 +343,6 @@ def heap(rolling):
 
 @pytest.mark.long
 def test_angle_of_repose_grows_with_rolling_resistance():
-    """Balls that roll freely lie flat; with a rolling length of a tenth and three tenths of the radius they stand up."""
+    """Balls that roll freely lie flat; with a rolling length of 0.1 and 0.3 radii they stand up (4, 13, 21 degrees)."""
     angles = [heap(rolling) for rolling in (0.0, 0.1, 0.3)]
     assert angles[0] + 2.0 < angles[1] and angles[1] + 2.0 < angles[2] < 45.0
