@@ -38,6 +38,19 @@ def test_example(name, tmp_path):
         assert (tmp_path / picture).stat().st_size > 10_000
 
 
+def test_demo(tmp_path):
+    """Coarse zones: the opening converges, joints slip, and the balance of energy closes over two excavations."""
+    numbers = run("demo", size=4.0, out=tmp_path, verbose=False)
+    # relaxation leaves 1e-4; walls between cells with a wrong normal made it 1e-2
+    assert numbers["energy closure"] < 1e-3
+    assert numbers["solve ratio"] < 1e-5
+    # blocks of 3.5 m between joints of 10 GPa/m under 10 MPa: millimetres, towards the opening
+    assert -5.0 < numbers["crown displacement [mm]"] < -1.0
+    assert -5.0 < numbers["wall displacement [mm]"] < -1.0
+    for name in ("joint_sets", "displacement", "slip", "history"):
+        assert (tmp_path / f"demo_{name}.png").stat().st_size > 10_000
+
+
 @pytest.mark.skipif(not CROSSVAULT.exists(), reason="../shared/data is not there")
 def test_imported_real_vault(tmp_path):
     # 184 blocks, most of them not convex, coordinates rounded to 3 decimals

@@ -13,12 +13,13 @@ from fdem.kernels import broad, upkeep
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
 
-__all__ = ["closing", "drifted_pairs", "refuse_leaps", "too_deep", "worn_pairs"]
+__all__ = ["closing", "drifted_pairs", "least_volumes", "refuse_leaps", "too_deep", "worn_pairs"]
 
 Array = NDArray[np.float64]
 
 
 EARLY = 0.5  # of what a cut allows
+BESIDE = 0.1  # of the largest contact force on a block: what is less needs no finer cuts than this
 
 
 def closing(c: Contacts, x: Array, out: Any) -> bool:
@@ -57,6 +58,24 @@ def drifted_pairs(c: Contacts, x: Array) -> Any:
     limit = 0.25 * c._window[p.pair]
     upkeep.worn_pairs(p.gp, p.pair, p.w_clip, np.zeros(len(p), np.uint8), limit, limit, x, far)
     return far > 0
+
+
+def least_volumes(c: Contacts) -> Array:
+    """Overlap (n_pairs,) [m3] of every pair that matters beside the other contacts of its blocks.
+
+    Blocks that only touch along an edge would be cut anew in every step for a force that is lost in the others.
+    """
+    p, force, stiffest = c.patches, np.zeros(len(c.pairs)), np.zeros(len(c.pairs))
+    if not c._filled:
+        return force
+    volume = (c._area * np.maximum(-c._gap, 0.0)).reshape(-1, 3).sum(axis=1)
+    np.add.at(force, p.pair, c._kn * volume)
+    np.maximum.at(stiffest, p.pair, c._kn)
+    largest = np.zeros(c.surfaces.n_blocks)
+    np.maximum.at(largest, c.slave, force)
+    np.maximum.at(largest, c.master, force)
+    beside = BESIDE * np.minimum(largest[c.slave], largest[c.master])
+    return np.divide(beside, stiffest, out=np.zeros_like(beside), where=stiffest > 0.0)
 
 
 def refuse_leaps(c: Contacts, x_old: Array, x: Array) -> None:
