@@ -57,7 +57,7 @@ def main(folder: Path = Path("out")) -> float:
     sim = fdem.Simulation(scene, fdem.Explicit(), energy=False)
     sim.run(time=0.3)
     rest = fdem.Simulation(scene, fdem.Relaxation(), start=sim)
-    rest.solve(ratio=3e-4)
+    rest.solve(ratio=1e-4)
 
     view = rest["bed"]
     weight = float(view.mass.sum()) * 9.81
