@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fdem.errors import SceneError, SolveError
+from fdem.errors import SceneError, SolveError, UnsupportedError
 
 __all__ = ["Bedding", "Dashpot", "DeadLoad", "Follower", "Load", "Release", "UserLoad"]
 
@@ -58,6 +58,19 @@ class Load(ABC):
         f_gp[self.gp] += forces
 
 
+    def tangent(self, t: float, x: np.ndarray, cc: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Minus the derivatives of the forces by positions, plus `cc` [1/s] times those by velocities.
+
+        Returns
+        -------
+        first, second : (n,) int arrays
+            Gridpoints.
+        blocks : (n, 3, 3) array
+            [N/m].
+        """
+        return None
+
+
 class DeadLoad(Load):
     """Constant forces (n, 3) [N]."""
 
@@ -99,6 +112,20 @@ class Follower(Load):
             np.add.at(forces, self.corner[:, k], self.share[:, k, None] * area)
         return forces
 
+    def tangent(self, t: float, x: np.ndarray, cc: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The area vector of a triangle turns with its edges (not symmetric in general)."""
+        factor, corners = self.factor(t), x[self.gp][self.corner]
+        first, second, blocks = [], [], []
+        for j in range(3):
+            # d (b - a) x (c - a) / d corner j = [opposite edge x]
+            edge = corners[:, (j + 2) % 3] - corners[:, (j + 1) % 3]
+            turn = np.cross(edge[:, None], np.eye(3)[None]).transpose(0, 2, 1)
+            for k in range(3):
+                first.append(self.gp[self.corner[:, k]])
+                second.append(self.gp[self.corner[:, j]])
+                blocks.append(-factor * self.share[:, k, None, None] * turn)
+        return np.concatenate(first), np.concatenate(second), np.concatenate(blocks)
+
 
 class Dashpot(Load):
     """Forces ``-C xdot`` with a (3, 3) matrix [N s/m] per gridpoint."""
@@ -114,6 +141,10 @@ class Dashpot(Load):
         assert xdot is not None
         return -np.einsum("nij,nj->ni", self.matrices, xdot[self.gp])
 
+    def tangent(self, t: float, x: np.ndarray, cc: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The matrices themselves."""
+        return self.gp, self.gp, cc * self.factor(t) * self.matrices
+
 
 class Bedding(Load):
     """Forces ``-K (x - X)`` with a (3, 3) matrix [N/m] per gridpoint."""
@@ -126,9 +157,23 @@ class Bedding(Load):
         """Forces (n, 3) [N] on the gridpoints."""
         return -np.einsum("nij,nj->ni", self.matrices, x[self.gp] - self.start)
 
+    def tangent(self, t: float, x: np.ndarray, cc: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The matrices themselves."""
+        return self.gp, self.gp, self.factor(t) * self.matrices
+
 
 class UserLoad(Load):
     """The user's ``force(t, x, v) -> (n, 3)`` on gridpoints."""
+
+    def tangent(self, t: float, x: np.ndarray, cc: float) -> None:
+        """Refuse: the user's forces bring no derivatives.
+
+        Raises
+        ------
+        UnsupportedError
+            Always.
+        """
+        raise UnsupportedError(f"load {self.handle.load!r} has no tangent: implicit integrators cannot use it")
 
     needs_velocity = True
 

@@ -307,6 +307,65 @@ class RigidBlocks:
         matrix[:, 3:, 3:] = self.inertia(q)
         return matrix
 
+    # implicit steps
+
+    def shift(self, q: Array, d: Array) -> None:
+        """``q <- q (+) d``: centroids by the translation, orientations by the rotation vector in `d` (n_dofs,)."""
+        own, step = self._q(q), self._v(d)
+        own[:, :3] += step[:, :3]
+        half = 0.5 * step[:, 3:]
+        angle = np.linalg.norm(half, axis=1)
+        sinc = np.sinc(angle / np.pi)[:, None]
+        w, u = np.cos(angle), sinc * half
+        w0, u0 = own[:, 3].copy(), own[:, 4:].copy()
+        own[:, 3] = w * w0 - np.einsum("ni,ni->n", u, u0)
+        own[:, 4:] = w[:, None] * u0 + w0[:, None] * u + np.cross(u, u0)
+        own[:, 3:] /= np.linalg.norm(own[:, 3:], axis=1)[:, None]
+
+    def gyroscopic(self, q: Array, v: Array, f: Array) -> None:
+        """Subtract ``omega x I omega`` from the moments [N m]."""
+        spin = self._v(v)[:, 3:]
+        self._v(f)[:, 3:] -= np.cross(spin, np.einsum("nij,nj->ni", self.inertia(q), spin))
+
+    def add_momentum(self, q: Array, v: Array, out: Array) -> None:
+        """``out += M v``."""
+        self._v(out)[:] += np.einsum("nij,nj->ni", self.generalised_mass(q), self._v(v))
+
+    def unknown_groups(self) -> list[npt.NDArray[np.int64]]:
+        """Unknowns that belong together: the six of every block."""
+        return [self.dofs.start + np.arange(6 * self.n_blocks).reshape(-1, 6)]
+
+    def mass_entries(self, q: Array) -> tuple[Array, Array, Array]:
+        """Rows, columns and values of the mass matrix."""
+        return _block_entries(self.unknown_groups()[0], self.generalised_mass(q))
+
+    def stiffness_entries(self, x: Array) -> tuple[Array, Array, Array]:
+        """Entries of the internal stiffness: none."""
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+
+    def geometric_entries(self, q: Array, f_gp: Array) -> tuple[Array, Array, Array]:
+        """Entries of ``-(dP^T / dq) f_gp``: moments change when the arms of constant forces turn.
+
+        ``d(sum r x f) = sum (r f^T - (r.f) 1) d phi``; not symmetric in general.
+        """
+        arms = np.einsum("nij,nj->ni", np.repeat(self.rotation(q), np.diff(self._start), axis=0), self._arms())
+        f = f_gp[self.gridpoints]
+        outer = self._sum(arms[:, :, None] * f[:, None, :])
+        diagonal = np.arange(3)
+        outer[:, diagonal, diagonal] -= self._sum(np.einsum("ni,ni->n", arms, f))[:, None]
+        return _block_entries(self.unknown_groups()[0][:, 3:], -outer)
+
+    def jacobian_entries(self, q: Array) -> tuple[Array, Array, Array]:
+        """Entries of ``P``: rows 3 gp + axis, columns unknowns."""
+        count = np.diff(self._start)
+        arms = np.einsum("nij,nj->ni", np.repeat(self.rotation(q), count, axis=0), self._arms())
+        rows = 3 * (self.gridpoints.start + np.arange(len(arms)))[:, None] + np.arange(3)
+        base = np.repeat(self.unknown_groups()[0], count, axis=0)
+        x, y, z = arms.T
+        values = np.column_stack([np.ones((len(arms), 3)), z, -y, -z, x, y, -x])
+        at, axis = [0, 1, 2, 0, 0, 1, 1, 2, 2], [0, 1, 2, 4, 5, 3, 5, 3, 4]
+        return rows[:, at].ravel(), base[:, axis].ravel(), values.ravel()
+
     def _q(self, q: Array) -> Array:
         return q[self.coords].reshape(self.n_blocks, 7)
 
@@ -323,6 +382,12 @@ class RigidBlocks:
         """Sum over the gridpoints of each block (none is empty)."""
         total: Array = np.add.reduceat(per_gridpoint, self._start[:-1], axis=0)
         return total
+
+
+def _block_entries(groups: Array, blocks: Array) -> tuple[Array, Array, Array]:
+    """Entries of dense blocks (m, k, k) on groups (m, k) of unknowns."""
+    k = groups.shape[1]
+    return np.repeat(groups, k, axis=1).ravel(), np.tile(groups, (1, k)).ravel(), np.ascontiguousarray(blocks).ravel()
 
 
 def _principal_axes(inertia: Array) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from fdem.blocks.assembly import coupling_norms, elastic_stiffness
 from fdem.blocks.bounds import Springs, share
 from fdem.blocks.masses import InertiaCorrection, block_moments, lumped_moments, row_sum_masses, voronoi_masses
 from fdem.blocks.zoneforces import LargeStrain, SmallStrain, elasticity, rotation_vectors, voigt_strain
+from fdem.blocks.zonetangents import ZoneMatrices
 from fdem.errors import MeshError, SceneError
 from fdem.kernels import corotated, stiffness, zones
 
@@ -309,6 +311,40 @@ class ZonedBlocks:
         acting = float(np.linalg.norm(inner[self.dofs].reshape(-1, 3), axis=1).max())
         weight = gravity * float(self.gp_mass.max())
         return share(max(float(left.max()), 0.0), max(acting, weight, float(pushes[self.gridpoints].max(initial=0.0))))
+
+    # implicit steps
+
+    def shift(self, q: Array, d: Array) -> None:
+        """``q += d`` for this batch's unknowns."""
+        q[self.coords] += d[self.dofs]
+
+    def gyroscopic(self, q: Array, v: Array, f: Array) -> None:
+        """Nothing: gridpoints do not turn."""
+
+    def add_momentum(self, q: Array, v: Array, out: Array) -> None:
+        """``out += M v``."""
+        out[self.dofs] += self.multiply_mass(v[self.dofs].reshape(-1, 3)).ravel()
+
+    def unknown_groups(self) -> list[Array]:
+        """Unknowns that belong together: three of every gridpoint."""
+        return [self.dofs.start + np.arange(self.X.size).reshape(-1, 3)]
+
+    def mass_entries(self, q: Array) -> tuple[Array, Array, Array]:
+        """Rows, columns and values of the mass matrix."""
+        return self._matrices.mass()
+
+    def stiffness_entries(self, x: Array) -> tuple[Array, Array, Array]:
+        """Rows, columns and values of d internal force / d position at the positions x (n_gp, 3)."""
+        return self._matrices.stiffness(x[self.gridpoints])
+
+    def jacobian_entries(self, q: Array) -> tuple[Array, Array, Array]:
+        """Entries of ``P``: the unknowns are the positions."""
+        rows = 3 * self.gridpoints.start + np.arange(self.X.size)
+        return rows, self.dofs.start + np.arange(self.X.size), np.ones(self.X.size)
+
+    @cached_property
+    def _matrices(self) -> ZoneMatrices:
+        return ZoneMatrices(self)
 
     # recovery
 

@@ -146,6 +146,7 @@ class SmallStrain:
         self.start, self.stop = owner._start[:-1][self.blocks], owner._start[1:][self.blocks]
         n = owner.X.shape[0]
         K = elastic_stiffness(owner.X, owner._nodes[self.zones], owner.lam[block], owner.mu[block])
+        self._stiffness = K
         self.row_start, self.column, self.diagonal, self.upper = upper_block_rows(K)
         self._set_frame(n)
         self.prestress = np.zeros((n, 3))
@@ -217,6 +218,21 @@ class SmallStrain:
         """Strain energy [J]."""
         self._product(x)
         return float(0.5 * np.sum(self.y * (self.g + self.prestress)))
+
+    def block_stiffness(self, x: Array, first: Array, second: Array, data: Array) -> None:
+        """Add ``R K R^T`` to the 3x3 blocks (first, second) of `data`; how the frame turns is left out."""
+        self._product(x)
+        K = self._stiffness.tocsr()
+        turn = np.zeros((len(x), 3, 3))
+        member = np.zeros(len(x), dtype=bool)
+        for lo, hi, R in zip(self.start, self.stop, self.R, strict=True):
+            turn[lo:hi], member[lo:hi] = R, True
+        mine = np.flatnonzero(member[first])
+        a, b = first[mine], second[mine]
+        rows = 3 * a[:, None, None] + np.arange(3)[:, None] + np.zeros((1, 1, 3), np.int64)
+        cols = 3 * b[:, None, None] + np.arange(3) + np.zeros((1, 3, 1), np.int64)
+        local = np.asarray(K[rows.ravel(), cols.ravel()]).reshape(-1, 3, 3)
+        data[mine] += turn[a] @ local @ np.swapaxes(turn[b], 1, 2)
 
     def override(self, x: Array, F: Array, R: Array, strain: Array) -> None:
         """Replace rotation and strain of this term's zones by the block's rotation and the linear strain."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.contact import startup, table
+from fdem.contact import startup, table, tangents
 from fdem.contact.broad import REACH, block_skins, candidate_pairs, master_first
 from fdem.contact.corners import pair_corners, stored_in_corners
 from fdem.contact.history import inherit_history, inherit_laws, known_offsets
@@ -414,6 +414,10 @@ class Contacts:
         """Places of the three points of every whole patch (3 n_patches, 3) [m]."""
         return table.whole_points(self.patches, x)
 
+    def signature(self) -> bytes:
+        """State of all contact points at the last trial."""
+        return self._active.tobytes() + self._state.tobytes()
+
     @property
     def n_patches(self) -> int:
         """Number of patches, open ones included."""
@@ -424,6 +428,10 @@ class Contacts:
     def stiffness(self, x: Array) -> tuple[Ints, Array, Array, Array, Array]:
         """Rows of all whole patches; see `table.stiffness`."""
         return table.stiffness(self, x)
+
+    def tangent(self, x: Array, dt: float) -> tuple[Ints, Array]:
+        """Derivatives of the last forces by positions, per patch; see `tangents.tangent`."""
+        return tangents.tangent(self, x, dt)
 
     def potential_k_gp(self, x: Array, mobile: Any) -> Array:
         """Upper bound of the contact stiffness per gridpoint (n_gp,) [N/m]; see `table.potential_k_gp`."""

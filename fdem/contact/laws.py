@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdem.errors import SceneError
-from fdem.kernels import joints
+from fdem.kernels import joints, responses
 
 if TYPE_CHECKING:
     from fdem.contact.narrow import Patches
@@ -52,6 +52,8 @@ class LawTable:
         self.sweep = getattr(joints, self.kernel) if isinstance(self.kernel, str) else self.kernel
         n = len(self.props)
         self.corner = np.zeros(n) if self.corner is None else np.asarray(self.corner, dtype=float)
+        self.name = self.kernel if isinstance(self.kernel, str) else self.kernel.__name__
+        self.response = getattr(responses, self.name, None) if isinstance(self.kernel, str) else None
         known = isinstance(self.kernel, str)
         coulomb = self.kernel == "coulomb"
         self.tensile = self.props[:, 4] > 0.0 if known else np.full(n, "bonds" in self.needs)

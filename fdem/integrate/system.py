@@ -193,6 +193,118 @@ class System:
             v[self._held] = self.state.v[self._held]
         return v
 
+    # ------------------------------------------------------------------ implicit steps
+
+    def all_forces(self) -> np.ndarray:
+        """Forces of the trial with gyroscopic terms and mass-proportional damping (n_dofs,) [N, N m]."""
+        self.current = False
+        f, state = self.forces(), self.state
+        for batch in self.model.batches:
+            batch.gyroscopic(state.q, state.v, f)
+        if self.rate is not None:
+            f -= self.mass_times(self.rate * state.v)
+        return f
+
+    def mass_times(self, v: np.ndarray) -> np.ndarray:
+        """``M v`` (n_dofs,)."""
+        out = np.zeros_like(v)
+        for batch in self.model.batches:
+            batch.add_momentum(self.state.q, v, out)
+        return out
+
+    def snapshot(self) -> tuple[Any, ...]:
+        """What `back_to` needs."""
+        state = self.state
+        return state.q.copy(), state.v.copy(), state.t, self.dt
+
+    def back_to(self, before: tuple[Any, ...]) -> None:
+        """Give up a trial."""
+        state = self.state
+        state.q[:], state.v[:], state.t, self.dt = before
+        self._place()
+        self.find_contacts()
+        self.current = False
+
+    def displace(self, before: tuple[Any, ...], d: np.ndarray, h: float) -> None:
+        """Trial configuration: the increment `d` (n_dofs,) over `h` [s] from `before`; contacts are found there."""
+        state = self.state
+        state.q[:] = before[0]
+        state.t, self.dt = before[2] + h, h
+        self.displace_further(d)
+        self.find_contacts()
+
+    def displace_further(self, d: np.ndarray) -> None:
+        """Move the trial configuration by `d` (n_dofs,)."""
+        for batch in self.model.batches:
+            batch.shift(self.state.q, d)
+        self._place()
+        self.current = False
+
+    def _place(self) -> None:
+        for batch in self.model.batches:
+            batch.place(self.state.q, self.state.x)
+
+    def find_contacts(self) -> bool:
+        """Look for contacts at the trial; whether they changed."""
+        if self.contacts is None or not self.contacts.update(self.state.x):
+            return False
+        self.current = False
+        return True
+
+    def contact_state(self) -> bytes:
+        """What is open, closed and slipping, to tell when Newton's method goes round in circles."""
+        return b"" if self.contacts is None else self.contacts.signature()
+
+    def prescribe_increment(self, d: np.ndarray, h: float) -> None:
+        """Give constrained increments their values over the next `h` [s]."""
+        v = self.state.v.copy()
+        self.constraints.prescribe(v, self.state.q, self.q0, self.state.t + 0.5 * h, h)
+        held = self.constraints.held()
+        d[held] = h * v[held]
+        if len(self.constraints.oblique_rows):
+            self.constraints._project(d)
+
+    def residual_ratio(self, r: np.ndarray, mass: Any, a: np.ndarray) -> float:
+        """Largest unbalanced force `r` over the largest force acting, inertia among them; worst formulation."""
+        state = self.state
+        pushes = np.linalg.norm(state.f_gp, axis=1)
+        pushes[: self._first_pulled] = 0.0
+        if self.f_load is not None:
+            pushes += np.linalg.norm(self.f_load, axis=1)
+        speedup = np.zeros_like(state.x)
+        for batch in self.model.batches:
+            batch.push(state.q, a, speedup)
+        pull = max(
+            float(np.linalg.norm(self.model.gravity)), float(np.sqrt((speedup**2).sum(axis=1).max(initial=0.0)))
+        )
+        return max((b.unbalance(state.x, r, pushes, pull, None) for b in self.model.batches), default=0.0)
+
+    def worst_block(self) -> str:
+        """The block with the largest unbalanced force, for messages."""
+        f = self.state.f.copy()
+        self.constraints.release(f)
+        push = np.zeros_like(self.state.x)
+        self.accelerate(f)
+        for batch in self.model.batches:
+            batch.push(self.state.q, self.a, push)
+        gp = int(np.argmax((push**2).sum(axis=1)))
+        return f"block {self.model.names[self.model.gp_block[gp]]!r}"
+
+    def numerical_loss(
+        self, f0: np.ndarray, f1: np.ndarray, d: np.ndarray, v0: np.ndarray, v1: np.ndarray, h: float
+    ) -> float:
+        """Work of the forces over a step by the trapezoidal rule less the gain of kinetic energy [J].
+
+        With mass-proportional damping it contains what that took.
+        """
+        before = 0.5 * float(v0 @ self.mass_times(v0))
+        self.state.v[:] = v1
+        after = 0.5 * float(v1 @ self.mass_times(v1))
+        held = np.zeros(len(d), dtype=bool)
+        held[self.constraints.held()] = True
+        work = 0.5 * float((f0 + f1)[~held] @ d[~held])
+        return work - (after - before)
+
     def springs(self) -> Springs:
         """Contacts and bedded faces, as the bounds of frequencies see them."""
         bedding = np.zeros(len(self.model.X))

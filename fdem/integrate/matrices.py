@@ -1,0 +1,119 @@
+"""The effective matrix of implicit steps, ``cm M + cc C + K``, from what batches, contacts and loads offer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+__all__ = ["Assembler"]
+
+Array = Any
+
+
+class Assembler:
+    """Matrices of a system over its unknowns.
+
+    Parameters
+    ----------
+    system : System
+        Its batches, contacts, loads and constraints are read.
+    """
+
+    def __init__(self, system: Any) -> None:
+        self.system = system
+        self.n = len(system.state.v)
+        self.groups = [g for batch in system.model.batches for g in batch.unknown_groups()]
+
+    def mass(self) -> Any:
+        """Mass matrix (n, n), scipy CSR."""
+        from scipy.sparse import coo_matrix
+
+        parts = [batch.mass_entries(self.system.state.q) for batch in self.system.model.batches]
+        return coo_matrix(_joined(parts), shape=(self.n, self.n)).tocsr()
+
+    def effective(self, mass: Any, cm: float, cc: float, dt: float) -> Any:
+        """``cm M + cc C + K`` at the present trial, constraints projected out, scipy CSR."""
+        from scipy.sparse import coo_matrix
+
+        system, state = self.system, self.system.state
+        inner = [batch.stiffness_entries(state.x) for batch in system.model.batches]
+        forces = state.f_gp if system.f_load is None else state.f_gp + system.f_load
+        inner += [batch.geometric_entries(state.q, forces) for batch in system.model.batches if not batch.in_place]
+        K = coo_matrix(_joined(inner), shape=(self.n, self.n)).tocsr()
+        outer = self._at_gridpoints(cc, dt)
+        if outer is not None:
+            P = self.placement()
+            K = K + P.T @ outer @ P
+        if cm:
+            K = K + cm * mass
+        if cc and system.rate is not None:
+            from scipy.sparse import diags
+
+            K = K + diags(np.broadcast_to(np.asarray(cc * system.rate), (self.n,))) @ mass
+        return self._constrained(K.tocsr())
+
+    def placement(self) -> Any:
+        """``P`` (3 n_gp, n) of ``xdot = P v``, scipy CSR."""
+        from scipy.sparse import coo_matrix
+
+        state = self.system.state
+        parts = [batch.jacobian_entries(state.q) for batch in self.system.model.batches]
+        return coo_matrix(_joined(parts), shape=(state.x.size, self.n)).tocsr()
+
+    def _at_gridpoints(self, cc: float, dt: float) -> Any:
+        """Stiffness of contacts, bedding, dashpots and follower loads between gridpoints (3 n_gp, 3 n_gp)."""
+        from scipy.sparse import coo_matrix
+
+        system, state = self.system, self.system.state
+        rows, cols, values = [], [], []
+        if system.contacts is not None and system.contacts.n_patches:
+            gp, blocks = system.contacts.tangent(state.x, dt)
+            dof = (3 * gp[:, :, None] + np.arange(3)).reshape(len(gp), 21)
+            rows.append(np.repeat(dof, 21, axis=1).ravel())
+            cols.append(np.tile(dof, (1, 21)).ravel())
+            values.append(-blocks.reshape(len(gp), 441).ravel())
+        for load in system.loads:
+            entries = load.tangent(state.t, state.x, cc)
+            if entries is not None:
+                first, second, block = entries
+                rows.append(np.broadcast_to(3 * first[:, None, None] + np.arange(3)[:, None], block.shape).ravel())
+                cols.append(np.broadcast_to(3 * second[:, None, None] + np.arange(3), block.shape).ravel())
+                values.append(block.ravel())
+        if not rows:
+            return None
+        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))
+        return coo_matrix(entries, shape=(state.x.size, state.x.size)).tocsr()
+
+    def _constrained(self, K: Any) -> Any:
+        """``N K N + s (1 - N)`` with the projector N on what is free and s of the size of K's diagonal."""
+        from scipy.sparse import diags
+
+        free = np.ones(self.n)
+        held = self.system.constraints.held()
+        oblique = self.system.constraints.oblique_rows
+        if not len(held) and not len(oblique):
+            return K
+        free[held] = 0.0
+        N = diags(free).tocsr()
+        if len(oblique):
+            N = N @ self._projector()
+        scale = float(np.abs(K.diagonal()).mean()) or 1.0
+        return (N @ K @ N + scale * (diags(np.ones(self.n)) - N)).tocsr()
+
+    def _projector(self) -> Any:
+        from scipy.sparse import coo_matrix
+
+        constraints = self.system.constraints
+        index = constraints.oblique_rows[:, None] + np.arange(3)
+        rest = np.setdiff1d(np.arange(self.n), index)
+        rows = np.concatenate([np.repeat(index, 3, axis=1).ravel(), rest])
+        cols = np.concatenate([np.tile(index, (1, 3)).ravel(), rest])
+        values = np.concatenate([constraints.oblique.ravel(), np.ones(len(rest))])
+        return coo_matrix((values, (rows, cols)), shape=(self.n, self.n)).tocsr()
+
+
+def _joined(parts: list[tuple[Array, Array, Array]]) -> tuple[Array, tuple[Array, Array]]:
+    """Entries of several batches as scipy's coo_matrix takes them."""
+    rows, cols, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    return values, (rows, cols)
