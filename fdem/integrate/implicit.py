@@ -18,6 +18,7 @@ Array = Any
 
 RECUTS = 4  # times the contacts may be found anew within a step
 CLIMB = 2.0  # growth of the residual that a Newton step may bring before it is shortened
+SHORTENINGS = 3  # of a Newton step, by half
 HALVINGS = 10  # of the time step
 
 
@@ -136,7 +137,7 @@ class _Implicit:
         self, system: Any, before: Any, d: Array, v0: Array, a0: Array, f0: Array, mass: Any, h: float
     ) -> bool:
         """Newton's method on the increment `d`, in place."""
-        rule, recuts, seen = self.rule, 0, set()
+        rule, recuts, shortened, seen, last = self.rule, 0, 0, set(), b""
         self.history = []
         change = None
         for iteration in range(self.max_iterations + 1):
@@ -155,13 +156,16 @@ class _Implicit:
             if iteration == self.max_iterations:
                 return False
             mark = system.contact_state()
-            again = mark in seen
+            circling = mark != last and mark in seen  # a set of open, closed and slipping points that comes back
             seen.add(mark)
-            if change is not None and (again or ratio > CLIMB * self.history[-2]) and iteration % 2:
-                system.displace_further(-0.5 * change)
-                d -= 0.5 * change
+            last = mark
+            if change is not None and shortened < SHORTENINGS and (circling or ratio > CLIMB * self.history[-2]):
                 change = 0.5 * change
+                system.displace_further(-change)
+                d -= change
+                shortened += 1
                 continue
+            shortened = 0
             cm = (1.0 - rule.alpha_m) / (rule.beta * h * h * (1.0 - rule.alpha_f))
             A = self.assembler.effective(mass, cm, rule.gamma / (rule.beta * h), h)
             change = self.linear.solve(A, r / (1.0 - rule.alpha_f), self.assembler.groups, None, False)
