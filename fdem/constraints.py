@@ -88,8 +88,10 @@ class Constraints:
         if len(self.oblique_rows):
             self._project(a)
 
-    def prescribe(self, v: np.ndarray, q: np.ndarray, q0: np.ndarray, t: float, dt: float) -> None:
-        """Give the constrained velocities their values at time `t`.
+    def prescribe(
+        self, v: np.ndarray, q: np.ndarray, q0: np.ndarray, t: float, dt: float, share: float | None = None
+    ) -> None:
+        """Give the constrained velocities their values at time `t`; `share` replaces that of the approaches.
 
         Raises
         ------
@@ -105,8 +107,8 @@ class Constraints:
             target = approach.target * _factor(approach.handle, t)
             left = target - (q[approach.coords] - q0[approach.coords])
             # the last part in one step: by shares it would stop where a share is less than the last bit of q
-            share = np.where(np.abs(left) <= ARRIVED * np.abs(target).max(initial=0.0), 1.0, approach.share)
-            v[approach.dofs] = share / dt * left
+            near = np.abs(left) <= ARRIVED * np.abs(target).max(initial=0.0)
+            v[approach.dofs] = np.where(near, 1.0, approach.share if share is None else share) / dt * left
 
     def ahead(self, q: np.ndarray, q0: np.ndarray, t: float) -> float:
         """Prescribed displacement still to come at time `t`, over the largest prescribed: the worst of all loads."""

@@ -57,7 +57,6 @@ class Load(ABC):
         self.total = forces.sum(axis=0)
         f_gp[self.gp] += forces
 
-
     def tangent(self, t: float, x: np.ndarray, cc: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """Minus the derivatives of the forces by positions, plus `cc` [1/s] times those by velocities.
 

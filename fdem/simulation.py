@@ -14,10 +14,11 @@ import numpy as np
 from fdem import checkpoint
 from fdem.compile import Compiled, compile_scene
 from fdem.contact import carry
-from fdem.errors import FdemWarning, SceneError
+from fdem.errors import ConvergenceError, FdemWarning, SceneError
 from fdem.integrate.explicit import Explicit, Relaxation
 from fdem.integrate.system import System
 from fdem.loads import Release
+from fdem.log import logger
 from fdem.readout import Readout
 from fdem.results.energy import Ledger
 from fdem.results.history import Every, History, adapted, watch
@@ -223,6 +224,8 @@ class Simulation(Readout):
         if not isinstance(max_cycles, (int, np.integer)) or max_cycles < 0:
             raise SceneError(f"solve: max_cycles = {max_cycles!r}, allowed is a whole number >= 0")
         begin, first = clock.perf_counter(), self.state.step
+        if getattr(self.integrator, "static", False):
+            return self._equilibrium(ratio, begin)
         # while tractions of removed blocks are still being released, what looks like equilibrium is none
         released = max((at + over - first for _, _, at, over in self._releases), default=0)
         self._steps(min(max(released, 0), max_cycles))
@@ -239,6 +242,28 @@ class Simulation(Readout):
             start_ratio=watch.start_ratio,
             kinetic_ratio=watch.kinetic_ratio,
             remaining=watch.remaining,
+            wall_time=clock.perf_counter() - begin,
+        )
+
+    def _equilibrium(self, ratio: float, begin: float) -> Report:
+        """One step of an integrator that finds equilibrium by itself."""
+        integrator, start, reason = self.integrator, self.system.ratio(), "equilibrium"
+        tolerance, integrator.tolerance = integrator.tolerance, min(ratio, integrator.tolerance)
+        try:
+            self._steps(1)
+        except ConvergenceError as error:
+            reason = "collapse"
+            logger.info("Static: %s", error)
+        finally:
+            integrator.tolerance = tolerance
+        return Report(
+            converged=reason == "equilibrium",
+            reason=reason,
+            cycles=integrator.iterations,
+            ratio=self.system.ratio(),
+            start_ratio=start,
+            kinetic_ratio=0.0,
+            remaining=0.0,
             wall_time=clock.perf_counter() - begin,
         )
 

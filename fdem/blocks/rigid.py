@@ -327,6 +327,14 @@ class RigidBlocks:
         spin = self._v(v)[:, 3:]
         self._v(f)[:, 3:] -= np.cross(spin, np.einsum("nij,nj->ni", self.inertia(q), spin))
 
+    def dof_rows(self) -> npt.NDArray[np.int64]:
+        """Row in the model of the block of every unknown of this batch."""
+        return np.repeat(self.rows, 6)
+
+    def mass_diagonal(self, q: Array) -> Array:
+        """Diagonal of the mass matrix of this batch."""
+        return np.ascontiguousarray(np.diagonal(self.generalised_mass(q), axis1=1, axis2=2)).ravel()
+
     def add_momentum(self, q: Array, v: Array, out: Array) -> None:
         """``out += M v``."""
         self._v(out)[:] += np.einsum("nij,nj->ni", self.generalised_mass(q), self._v(v))

@@ -321,6 +321,14 @@ class ZonedBlocks:
     def gyroscopic(self, q: Array, v: Array, f: Array) -> None:
         """Nothing: gridpoints do not turn."""
 
+    def dof_rows(self) -> Array:
+        """Row in the model of the block of every unknown of this batch."""
+        return np.repeat(np.repeat(self.rows, np.diff(self._start)), 3)
+
+    def mass_diagonal(self, q: Array) -> Array:
+        """Diagonal of the mass matrix of this batch (lumped part)."""
+        return np.repeat(self.gp_mass, 3)
+
     def add_momentum(self, q: Array, v: Array, out: Array) -> None:
         """``out += M v``."""
         out[self.dofs] += self.multiply_mass(v[self.dofs].reshape(-1, 3)).ravel()

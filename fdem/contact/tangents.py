@@ -57,5 +57,3 @@ def tangent(c: Contacts, x: NDArray[np.float64], dt: float) -> tuple[Any, Any]:
         p.gp, c._active, c._thick, x, c._w, c._area, c._push, c._face_normal, c._traction, response, blocks
     )  # fmt: skip
     return p.gp[ids], blocks[ids]
-
-

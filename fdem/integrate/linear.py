@@ -85,7 +85,9 @@ class LinearSolver:
         try:
             x = splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(b)
         except RuntimeError as error:
-            raise ConvergenceError(f"the stiffness is singular: something can move without resistance ({error})") from None
+            raise ConvergenceError(
+                f"the stiffness is singular: something can move without resistance ({error})"
+            ) from None
         self.used, self.iterations = "sparse LU", 1
         return x
 
@@ -96,7 +98,12 @@ class LinearSolver:
         precondition = LinearOperator(A.shape, matvec=_block_jacobi(A, groups))
         count = [0]
         x, info = bicgstab(
-            A, b, rtol=self.tolerance, maxiter=1000, M=precondition, callback=lambda _: count.__setitem__(0, count[0] + 1)
+            A,
+            b,
+            rtol=self.tolerance,
+            maxiter=1000,
+            M=precondition,
+            callback=lambda _: count.__setitem__(0, count[0] + 1),
         )
         self.used, self.iterations = f"BiCGStab, {count[0]} iterations", count[0]
         return x if info == 0 and np.isfinite(x).all() else self._direct(A, b)
@@ -136,7 +143,9 @@ def _multigrid(A: Any, modes: Array | None) -> Any:
     return levels.aspreconditioner(cycle="V").matvec
 
 
-def conjugate_gradients(A: Any, b: Array, precondition: Any, tolerance: float, most: int = 3000) -> tuple[Array, int, bool]:
+def conjugate_gradients(
+    A: Any, b: Array, precondition: Any, tolerance: float, most: int = 3000
+) -> tuple[Array, int, bool]:
     """Preconditioned conjugate gradients from zero: solution, iterations, whether the residual fell below tolerance."""
     x, r = np.zeros_like(b), b.copy()
     z = precondition(r)

@@ -53,6 +53,18 @@ class Assembler:
             K = K + diags(np.broadcast_to(np.asarray(cc * system.rate), (self.n,))) @ mass
         return self._constrained(K.tocsr())
 
+    def modes(self) -> Array | None:
+        """Rigid motions (n, 6) of every gridpoint for multigrid; None where unknowns are no positions."""
+        if not all(batch.in_place for batch in self.system.model.batches):
+            return None
+        x = self.system.state.x[: self.n // 3]
+        B = np.zeros((self.n, 6))
+        for axis in range(3):
+            B[axis::3, axis] = 1.0
+            turn = np.cross(np.eye(3)[axis], x)
+            B[:, 3 + axis] = turn.ravel()
+        return B
+
     def placement(self) -> Any:
         """``P`` (3 n_gp, n) of ``xdot = P v``, scipy CSR."""
         from scipy.sparse import coo_matrix

@@ -10,7 +10,7 @@ import numpy as np
 
 from fdem.blocks.bounds import Springs
 from fdem.constraints import Constraints
-from fdem.errors import UnstableError
+from fdem.errors import SceneError, UnstableError
 from fdem.loads import Bedding, Dashpot, Load
 from fdem.model import Model
 from fdem.state import State
@@ -255,16 +255,54 @@ class System:
         """What is open, closed and slipping, to tell when Newton's method goes round in circles."""
         return b"" if self.contacts is None else self.contacts.signature()
 
-    def prescribe_increment(self, d: np.ndarray, h: float) -> None:
-        """Give constrained increments their values over the next `h` [s]."""
+    def prescribe_increment(self, d: np.ndarray, h: float, share: float | None = None) -> None:
+        """Give constrained increments their values over the next `h` [s]; `share` of displacements still to come."""
         v = self.state.v.copy()
-        self.constraints.prescribe(v, self.state.q, self.q0, self.state.t + 0.5 * h, h)
+        self.constraints.prescribe(v, self.state.q, self.q0, self.state.t + 0.5 * h, h, share)
         held = self.constraints.held()
         d[held] = h * v[held]
         if len(self.constraints.oblique_rows):
             self.constraints._project(d)
 
-    def residual_ratio(self, r: np.ndarray, mass: Any, a: np.ndarray) -> float:
+    def unbalanced(self) -> np.ndarray:
+        """Forces of the trial that nothing holds (n_dofs,) [N, N m]."""
+        self.current = False
+        f = self.forces().copy()
+        self.constraints.release(f)
+        return f
+
+    def reference_stiffness(self) -> Any:
+        """Diagonal matrix (n_dofs, n_dofs): masses times the squared frequency of their block on all its joints.
+
+        Raises
+        ------
+        SceneError
+            A block that can move has no mass, or touches nothing that could hold it.
+        """
+        from scipy.sparse import diags
+
+        omega2, free = self.block_frequencies(), np.ones(len(self.state.v), dtype=bool)
+        free[self.constraints.held()] = False
+        diagonal = np.zeros(len(free))
+        for batch in self.model.batches:
+            owner = batch.dof_rows()
+            loose = np.unique(owner[free[batch.dofs] & (omega2[owner] == 0.0)])
+            if len(loose):
+                raise SceneError(
+                    f"Static: block {self.model.names[loose[0]]!r} is free: no joint or support can hold it"
+                )
+            diagonal[batch.dofs] = batch.mass_diagonal(self.state.q) * omega2[owner]
+        return diags(np.where(diagonal > 0.0, diagonal, 1.0)).tocsr()
+
+    def relative_motion(self, d: np.ndarray) -> float:
+        """Largest motion of a gridpoint in the increment `d` over the size of the smallest block."""
+        moved = np.zeros_like(self.state.x)
+        for batch in self.model.batches:
+            batch.push(self.state.q, d, moved)
+        size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
+        return float(np.sqrt((moved**2).sum(axis=1).max(initial=0.0))) / size
+
+    def residual_ratio(self, r: np.ndarray, mass: Any, a: np.ndarray | None) -> float:
         """Largest unbalanced force `r` over the largest force acting, inertia among them; worst formulation."""
         state = self.state
         pushes = np.linalg.norm(state.f_gp, axis=1)
@@ -272,11 +310,9 @@ class System:
         if self.f_load is not None:
             pushes += np.linalg.norm(self.f_load, axis=1)
         speedup = np.zeros_like(state.x)
-        for batch in self.model.batches:
+        for batch in self.model.batches if a is not None else ():
             batch.push(state.q, a, speedup)
-        pull = max(
-            float(np.linalg.norm(self.model.gravity)), float(np.sqrt((speedup**2).sum(axis=1).max(initial=0.0)))
-        )
+        pull = max(float(np.linalg.norm(self.model.gravity)), float(np.sqrt((speedup**2).sum(axis=1).max(initial=0.0))))
         return max((b.unbalance(state.x, r, pushes, pull, None) for b in self.model.batches), default=0.0)
 
     def worst_block(self) -> str:

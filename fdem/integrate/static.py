@@ -1,0 +1,157 @@
+"""Static: Newton's method on 0 = f(u), load step by load step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fdem.errors import ConvergenceError, OverlapError
+from fdem.integrate.implicit import RECUTS, _number
+from fdem.integrate.linear import LinearSolver
+from fdem.integrate.matrices import Assembler
+
+__all__ = ["Static"]
+
+Array = Any
+
+TRUST = 1e2  # first pseudo-time step, in units of the inverse squared frequency of a block on its joints
+GROWTH = 4.0  # of the pseudo-time step after an iteration that brought the residual down
+MOTION = 1e-2  # of the smallest block's size: longest motion in an iteration, so that contacts are not jumped over
+CLIMB = 2.0  # growth of the residual that an iteration may bring before it is shortened
+SHORTENINGS = 4
+HALVINGS = 6  # of the load step
+
+
+@dataclass
+class Static:
+    """Quasi-static equilibrium: Newton's method on ``0 = f(u)``, inertia left out.
+
+    Parameters
+    ----------
+    tolerance : float, optional
+        Largest unbalanced force over the largest force acting.
+    steps : int, optional
+        Load steps: the unbalanced force is brought in by so many equal parts. Friction depends on the path.
+    max_iterations : int, optional
+        Iterations of a load step before it is halved.
+    solver : str, optional
+        "auto", "direct", "cg" or "amg".
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range.
+
+    Notes
+    -----
+    A step of the iteration is that of an implicit Euler step in fictitious time, whose length grows as the residual
+    falls (pseudo-transient continuation, Kelley and Keyes, SIAM J. Numer. Anal. 35 (1998) 508): far from equilibrium,
+    where contacts open and close and blocks may be loose, it goes down the forces; near it, it is Newton's.
+    """
+
+    tolerance: float = 1e-8
+    steps: int = field(default=1, kw_only=True)
+    max_iterations: int = field(default=60, kw_only=True)
+    solver: str = field(default="auto", kw_only=True)
+    scaled: bool = field(default=False, init=False, repr=False)
+    static: bool = field(default=True, init=False, repr=False)
+    history: list[float] = field(default_factory=list, init=False, repr=False)
+    iterations: int = field(default=0, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        _number("Static", "tolerance", self.tolerance, 1e-15, 0.1)
+        _number("Static", "steps", self.steps, 1)
+        _number("Static", "max_iterations", self.max_iterations, 1)
+        self.linear = LinearSolver(self.solver)
+
+    def start(self, system: Any) -> None:
+        """Prepare the matrices; refuse blocks that nothing can hold."""
+        system.state.v[:] = 0.0
+        system.lag = 0.0
+        system.fictitious = True
+        self.assembler = Assembler(system)
+        self.step_length = 1.0
+        self._inertia = system.reference_stiffness()
+        system.stale = False
+
+    def refresh(self, system: Any) -> None:
+        """Find the reference stiffness again after contacts have changed."""
+        self._inertia = system.reference_stiffness()
+        system.stale = False
+
+    def limit(self, system: Any) -> float:
+        """No step is too long: infinite."""
+        return math.inf
+
+    def step(self, system: Any, dt: float) -> None:
+        """Find the equilibrium under the loads at the end of the step."""
+        left, part = 1.0, 1.0 / self.steps
+        start, t = system.unbalanced().copy(), system.state.t
+        while left > 1e-9:
+            part = min(part, left)
+            if self._attempt(system, start, t + dt * (1.0 - left + part), left, part):
+                left -= part
+                part *= 2.0
+                continue
+            part *= 0.5
+            if part < 0.5**HALVINGS / self.steps:
+                raise ConvergenceError(
+                    f"no equilibrium found: {1.0 - left:.0%} of the load step were in balance; the last residuals are "
+                    f"{['%.1e' % r for r in self.history[-5:]]} of the largest force, worst is {system.worst_block()}"
+                )
+        system.state.step += 1
+
+    def _attempt(self, system: Any, start: Array, t: float, left: float, part: float) -> bool:
+        """One load step; everything as before if it does not converge."""
+        system.forces()
+        system.commit()
+        before = system.snapshot()
+        d = np.zeros_like(system.state.v)
+        system.prescribe_increment(d, t - system.state.t, part / left)
+        try:
+            system.displace(before, d, t - system.state.t)
+            if self._iterate(system, (left - part) * start):
+                return True
+        except OverlapError:
+            if part <= 2.0 * 0.5**HALVINGS / self.steps:
+                raise
+        system.back_to(before)
+        return False
+
+    def _iterate(self, system: Any, rest: Array) -> bool:
+        """Iterate until the unbalanced force is `rest`."""
+        recuts, trust, self.history = 0, TRUST, []
+        r = system.unbalanced() - rest
+        ratio = system.residual_ratio(r, None, None)
+        for iteration in range(self.max_iterations):
+            self.history.append(ratio)
+            if not np.isfinite(ratio):
+                return False
+            if ratio <= self.tolerance:
+                if recuts < RECUTS and system.find_contacts():
+                    recuts += 1
+                    r = system.unbalanced() - rest
+                    ratio = system.residual_ratio(r, None, None)
+                    continue
+                self.iterations = iteration
+                return True
+            A = self.assembler.effective(self._inertia, 1.0 / trust, 0.0, 0.0)
+            change = self.linear.solve(A, r, self.assembler.groups, self.assembler.modes(), True)
+            change *= min(1.0, MOTION / max(system.relative_motion(change), 1e-300))
+            system.displace_further(change)
+            system.find_contacts()
+            r, before = system.unbalanced() - rest, ratio
+            ratio = system.residual_ratio(r, None, None)
+            for _ in range(SHORTENINGS):
+                if ratio <= CLIMB * before:
+                    break
+                change *= 0.5
+                system.displace_further(-change)
+                r = system.unbalanced() - rest
+                ratio = system.residual_ratio(r, None, None)
+            trust *= max(GROWTH, before / max(ratio, 1e-300)) if ratio <= before else 1.0 / GROWTH
+            trust = min(trust, 1e16)
+        return False
