@@ -53,6 +53,23 @@ class Assembler:
             K = K + diags(np.broadcast_to(np.asarray(cc * system.rate), (self.n,))) @ mass
         return self._constrained(K.tocsr())
 
+    def joints(self) -> Any:
+        """Stiffness (n, n) of all joints as if they were closed and did not slip, scipy CSR."""
+        from scipy.sparse import coo_matrix
+
+        system, state = self.system, self.system.state
+        if system.contacts is None or not system.contacts.n_patches:
+            return coo_matrix((self.n, self.n)).tocsr()
+        gp, w, frame, kn, ks = system.contacts.stiffness(state.x)
+        spring = ks[:, None, None] * np.eye(3) + (kn - ks)[:, None, None] * frame[:, 0, :, None] * frame[:, 0, None, :]
+        blocks = w[:, :, None, None, None] * w[:, None, :, None, None] * spring[:, None, None]
+        dof = 3 * gp[:, :, None] + np.arange(3)
+        rows = np.broadcast_to(dof[:, :, None, :, None], blocks.shape)
+        cols = np.broadcast_to(dof[:, None, :, None, :], blocks.shape)
+        K = coo_matrix((blocks.ravel(), (rows.ravel(), cols.ravel())), shape=(state.x.size, state.x.size)).tocsr()
+        P = self.placement()
+        return (P.T @ K @ P).tocsr()
+
     def modes(self) -> Array | None:
         """Rigid motions (n, 6) of every gridpoint for multigrid; None where unknowns are no positions."""
         if not all(batch.in_place for batch in self.system.model.batches):

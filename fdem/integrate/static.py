@@ -17,7 +17,8 @@ __all__ = ["Static"]
 
 Array = Any
 
-TRUST = 1e2  # first pseudo-time step, in units of the inverse squared frequency of a block on its joints
+TRUST = 1.0  # first pseudo-time step: joints resist as if they were closed and held
+LOOSE = 1e-6  # part of a block's stiffness on all its joints that holds what no joint holds
 GROWTH = 4.0  # of the pseudo-time step after an iteration that brought the residual down
 MOTION = 1e-2  # of the smallest block's size: longest motion in an iteration, so that contacts are not jumped over
 CLIMB = 2.0  # growth of the residual that an iteration may bring before it is shortened
@@ -138,7 +139,7 @@ class Static:
                     continue
                 self.iterations = iteration
                 return True
-            A = self.assembler.effective(self._inertia, 1.0 / trust, 0.0, 0.0)
+            A = self.assembler.effective(self._inertia * LOOSE + self.assembler.joints(), 1.0 / trust, 0.0, 0.0)
             change = self.linear.solve(A, r, self.assembler.groups, self.assembler.modes(), True)
             change *= min(1.0, MOTION / max(system.relative_motion(change), 1e-300))
             system.displace_further(change)
