@@ -200,7 +200,7 @@ class Readout:
             empty |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
             empty |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
             return empty | {"joint_names": self.model.joint_names}
-        table = dict(contacts.table(self.state.x))
+        table = dict(self.system.contact_table())
         table["position"] = table["position"] + self.model.origin
         table["joint_names"] = self.model.joint_names
         return table

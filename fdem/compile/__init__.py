@@ -122,7 +122,10 @@ def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> A
         surfaces,
         state.x,
         gp_mass=model.gp_mass,
-        laws=[LawTable(kernel, np.array(rows)) for kernel, rows in zip(tables.kernels, tables.rows, strict=True)],
+        laws=[
+            LawTable(kernel, np.array(rows), hard=tables.hard(k))
+            for k, (kernel, rows) in enumerate(zip(tables.kernels, tables.rows, strict=True))
+        ],
         assign=tables.assign,
         gap_tolerance=layout.scene.gap_tolerance,
         names=model.names,

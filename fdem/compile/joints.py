@@ -49,6 +49,11 @@ class JointTables:
         order = sorted(range(len(self.rules)), key=lambda i: (self.rules[i].rank, i))
         self._tests = [(i, self._test(self.rules[i])) for i in order]
 
+    def hard(self, law: int) -> np.ndarray | None:
+        """Friction coefficient, cohesion, tension and restitution (n, 4) of a law's rows; None if it has none."""
+        rows = [rule.law.hard() for rule, (k, _) in zip(self.rules, self.location, strict=True) if k == law]
+        return None if any(row is None for row in rows) else np.array(rows, dtype=float).reshape(-1, 4)
+
     def _test(self, rule: JointRule) -> Any:
         """What decides whether a contact falls under a rule: tags, block masks."""
         n = self.model.n_blocks

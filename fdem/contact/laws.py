@@ -37,6 +37,8 @@ class LawTable:
         "damping": the law reads `mass`. The built-in laws find out from their properties.
     corner : (n_props,) array, optional
         Least area of a contact [m2] (kernels/corners.py); 0: none.
+    hard : (n_props, 4) array, optional
+        Friction coefficient, cohesion [Pa], tension [Pa] and restitution of the hard counterpart; None: none.
     """
 
     kernel: str | Callable[..., None]
@@ -44,6 +46,7 @@ class LawTable:
     memory: int = 6
     needs: frozenset[str] = field(default_factory=frozenset)
     corner: Array | None = None
+    hard: Array | None = None
 
     def __post_init__(self) -> None:
         self.props = np.atleast_2d(np.ascontiguousarray(self.props, dtype=float))

@@ -51,7 +51,7 @@ class Assembler:
             from scipy.sparse import diags
 
             K = K + diags(np.broadcast_to(np.asarray(cc * system.rate), (self.n,))) @ mass
-        return self._constrained(K.tocsr())
+        return self.constrained(K.tocsr())
 
     def joints(self) -> Any:
         """Stiffness (n, n) of all joints as if they were closed and did not slip, scipy CSR."""
@@ -81,6 +81,14 @@ class Assembler:
             turn = np.cross(np.eye(3)[axis], x)
             B[:, 3 + axis] = turn.ravel()
         return B
+
+    def soft(self) -> Any:
+        """Stiffness (n, n) of what deforms between its contacts; None where nothing does."""
+        from scipy.sparse import coo_matrix
+
+        state = self.system.state
+        inner = [batch.stiffness_entries(state.x) for batch in self.system.model.batches if batch.has_internal]
+        return coo_matrix(_joined(inner), shape=(self.n, self.n)).tocsr() if inner else None
 
     def placement(self) -> Any:
         """``P`` (3 n_gp, n) of ``xdot = P v``, scipy CSR."""
@@ -114,19 +122,23 @@ class Assembler:
         entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))
         return coo_matrix(entries, shape=(state.x.size, state.x.size)).tocsr()
 
-    def _constrained(self, K: Any) -> Any:
-        """``N K N + s (1 - N)`` with the projector N on what is free and s of the size of K's diagonal."""
+    def projector(self) -> Any:
+        """Projector N (n, n) on what constraints leave free, scipy CSR."""
         from scipy.sparse import diags
 
         free = np.ones(self.n)
-        held = self.system.constraints.held()
-        oblique = self.system.constraints.oblique_rows
-        if not len(held) and not len(oblique):
-            return K
-        free[held] = 0.0
+        free[self.system.constraints.held()] = 0.0
         N = diags(free).tocsr()
-        if len(oblique):
-            N = N @ self._projector()
+        return N @ self._projector() if len(self.system.constraints.oblique_rows) else N
+
+    def constrained(self, K: Any) -> Any:
+        """``N K N + s (1 - N)`` with s of the size of K's diagonal."""
+        from scipy.sparse import diags
+
+        constraints = self.system.constraints
+        if not len(constraints.held()) and not len(constraints.oblique_rows):
+            return K
+        N = self.projector()
         scale = float(np.abs(K.diagonal()).mean()) or 1.0
         return (N @ K @ N + scale * (diags(np.ones(self.n)) - N)).tocsr()
 

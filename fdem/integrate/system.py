@@ -10,6 +10,7 @@ import numpy as np
 
 from fdem.blocks.bounds import Springs
 from fdem.constraints import Constraints
+from fdem.contact import hard
 from fdem.errors import SceneError, UnstableError
 from fdem.loads import Bedding, Dashpot, Load
 from fdem.model import Model
@@ -55,6 +56,7 @@ class System:
         self.lag = 0.0  # time by which v is behind q: 0 before the first step, then half a step [s]
         self.dt = 0.0  # the last step [s]
         self.fictitious = False  # masses are scaled: time and velocities have no meaning of their own
+        self.hard = False  # contacts are impulses, not springs
         self.work = 0.0
         self.damped = 0.0
         self.scaled: list[Any] = [None] * len(model.batches)
@@ -81,8 +83,11 @@ class System:
         """The force terms this scene needs, in order."""
         state = self.state
         terms: list[Callable[[], None]] = []
-        if self.contacts is not None:
+        if self.hard:
+            terms.append(lambda: np.add(state.f_gp, self._hard_force, out=state.f_gp))
+        elif self.contacts is not None:
             terms.append(lambda: self.contacts.forces(state.x, state.x_old, self._real_dt, state.f_gp))
+        if self.contacts is not None:
             for batch in self.model.batches:
                 if not batch.in_place:
                     terms.append(partial(batch.pull, state.q, state.f_gp, state.f))
@@ -340,6 +345,105 @@ class System:
         held[self.constraints.held()] = True
         work = 0.5 * float((f0 + f1)[~held] @ d[~held])
         return work - (after - before)
+
+    # ------------------------------------------------------------------ hard contact
+
+    def harden(self) -> None:
+        """Leave the forces of penalty contacts out; impulses over the last step take their place."""
+        self.hard, self._hard_force = True, np.zeros_like(self.state.f_gp)
+        self._hard_points: tuple[Any, np.ndarray] | None = None
+        self._terms = self._choose_terms()
+        self.current = False
+
+    def commit_loads(self) -> None:
+        """Work of loads up to here, positions as those of the last commit."""
+        self.forces()
+        self.work += self.pending_work()
+        if self._load_old is not None:
+            self._load_old[:] = self.f_load
+        self.state.x_old[:] = self.state.x
+
+    def drift(self, h: float) -> None:
+        """Move the configuration by `h` [s] at the present velocities; look for contacts."""
+        state = self.state
+        for batch in self.model.batches:
+            batch.advance(state.q, state.v, h)
+            batch.place(state.q, state.x)
+        state.t += h
+        self.dt = h
+        self.current = False
+        if self.contacts is not None:
+            self.contacts.update(state.x)
+
+    def soft_forces(self) -> np.ndarray:
+        """Forces without contact, with mass-proportional damping (n_dofs,) [N, N m]."""
+        kept, self._hard_force = self._hard_force, np.zeros_like(self._hard_force)
+        self.current = False
+        f = self.forces().copy()
+        self._hard_force, self.current = kept, False
+        if self.rate is not None:
+            f -= self.mass_times(self.rate * self.state.v)
+        return f
+
+    def mobility(self, assembler: Any, h: float) -> Any:
+        """How velocities answer to impulses in the present configuration; `h` [s] is what stiffness acts over."""
+        from fdem.integrate.mobility import Mobility
+
+        return Mobility(assembler, assembler.mass(), assembler.soft(), h)
+
+    def prescribe_velocity(self, v: np.ndarray, h: float) -> None:
+        """Give constrained velocities their values."""
+        self.constraints.prescribe(v, self.state.q, self.q0, self.state.t, h)
+
+    def hard_points(self) -> Any:
+        """Points of hard contact in the present configuration; None where nothing can touch."""
+        if self.contacts is None or not self.contacts.n_patches:
+            return None
+        return hard.contact_points(self.contacts, self.state.x)
+
+    def pair_sizes(self) -> np.ndarray:
+        """Size of the smaller block of every pair [m]."""
+        size = self.contacts.surfaces.size
+        return np.minimum(size[self.contacts.slave], size[self.contacts.master])
+
+    def velocity_rows(self, points: Any, assembler: Any) -> Any:
+        """``J`` (3 n, n_dofs) of the relative velocities of contact points in their frames, scipy CSR."""
+        from scipy.sparse import coo_matrix
+
+        n = len(points)
+        values = points.frame[:, :, None, :] * points.w[:, None, :, None]
+        rows = np.broadcast_to((3 * np.arange(n)[:, None] + np.arange(3))[:, :, None, None], values.shape)
+        cols = np.broadcast_to((3 * points.gp[:, :, None] + np.arange(3))[:, None], values.shape)
+        mobile = ~self.model.fixed[self.model.gp_block[points.gp]]
+        mobile = np.broadcast_to(mobile[:, None, :, None], values.shape) & (values != 0.0)
+        entries = values[mobile], (rows[mobile], cols[mobile])
+        return (coo_matrix(entries, shape=(3 * n, self.state.x.size)).tocsr() @ assembler.placement()).tocsr()
+
+    def solve_impulses(self, *arguments: Any) -> tuple[int, float]:
+        """Gauss-Seidel over the contact points; see `hard.solve`."""
+        return hard.solve(*arguments)
+
+    def after_impulses(self, points: Any, impulses: np.ndarray, before: np.ndarray, rows: Any, h: float) -> None:
+        """Keep the mean forces of the step for the tables, and count what contact dissipated."""
+        self._hard_force[:] = 0.0
+        self._hard_points = None
+        if points is None or not len(points):
+            return
+        world = np.einsum("nij,ni->nj", points.frame, impulses) / h
+        shares = points.w[:, :, None] * world[:, None, :]
+        np.add.at(self._hard_force, points.gp.ravel(), shares.reshape(-1, 3))
+        mean = 0.5 * (rows @ (before + self.state.v)).reshape(-1, 3)
+        self.contacts.work[0] -= float((impulses[:, 1:] * mean[:, 1:]).sum())
+        self.contacts.work[1] -= float((impulses[:, 0] * mean[:, 0]).sum())
+        sliding = np.hypot(*(rows @ self.state.v).reshape(-1, 3)[:, 1:].T)
+        self._hard_points = points, hard.table(self.contacts, points, impulses / h, sliding)
+
+    def contact_table(self) -> dict[str, Any]:
+        """Contact points as a dict of arrays: of the last forces, or of the last impulses."""
+        if self.hard:
+            return self._hard_points[1] if self._hard_points is not None else self.contacts.table(self.state.x)
+        table: dict[str, Any] = self.contacts.table(self.state.x)
+        return table
 
     def springs(self) -> Springs:
         """Contacts and bedded faces, as the bounds of frequencies see them."""

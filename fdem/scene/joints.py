@@ -37,6 +37,10 @@ class Joint:
         """Row of the property table that the law's sweep reads; the first two are kn and ks [Pa/m]."""
         raise UnsupportedError(f"{type(self).__name__}: a law needs properties(kn, ks)")
 
+    def hard(self) -> tuple[float, float, float, float] | None:
+        """Friction coefficient, cohesion [Pa], tension [Pa] and restitution for `ContactDynamics`; None: no such law."""
+        return None
+
 
 @dataclass(frozen=True, kw_only=True)
 class Coulomb(Joint):
@@ -121,6 +125,10 @@ class Coulomb(Joint):
             self.damping_ratio,
         )
 
+    def hard(self) -> tuple[float, float, float, float]:
+        """Friction, cohesion, tension and restitution (0 if None) of hard contact."""
+        return _tan(self.friction), float(self.cohesion), float(self.tension), float(self.restitution or 0.0)
+
     @property
     def damping_ratio(self) -> float:
         """Fraction of critical damping; from `restitution` e: -ln e / sqrt(pi^2 + ln^2 e)."""
@@ -165,6 +173,10 @@ class Bonded(Joint):
     def properties(self, kn: float, ks: float) -> tuple[float, ...]:
         """Row of the table of the "bonded" sweep (kernels/joints.py)."""
         return kn, ks, _tan(self.friction), float(self.shear), float(self.tension)
+
+    def hard(self) -> tuple[float, float, float, float]:
+        """Friction, cohesion, tension and restitution of hard contact."""
+        return _tan(self.friction), float(self.shear), float(self.tension), 0.0
 
 
 def _tan(degrees: float) -> float:
