@@ -14,6 +14,8 @@ import numpy as np
 
 from fdem._jit import kernel
 
+PATIENCE = 40  # sweeps without progress after which impulses are changed by less
+
 
 @kernel
 def corner_points(gp, start, corners, offset, keep, x, patch, weight, gap):
@@ -116,8 +118,8 @@ def _local(W, f0, f1, f2, mu, tension, cohesion, out):
 
 
 @kernel
-def _visit(i, start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion, v, r, new):
-    """Solve point i for its impulse with all others held; returns the largest change of its impulse."""
+def _visit(i, start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion, relax, v, r, new):
+    """Solve point i for its impulse with all others held; returns the square of the change of its impulse."""
     u0, u1, u2 = 0.0, 0.0, 0.0
     for k in range(start[i], start[i + 1]):
         s = v[dof[k]]
@@ -128,12 +130,12 @@ def _visit(i, start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion, v,
     f2 = u2 - (w[2, 0] * r[i, 0] + w[2, 1] * r[i, 1] + w[2, 2] * r[i, 2])
     new[0], new[1], new[2] = r[i, 0], r[i, 1], r[i, 2]
     _local(w, f0, f1, f2, mu[i], tension[i], cohesion[i], new)
-    d0, d1, d2 = new[0] - r[i, 0], new[1] - r[i, 1], new[2] - r[i, 2]
+    d0, d1, d2 = relax * (new[0] - r[i, 0]), relax * (new[1] - r[i, 1]), relax * (new[2] - r[i, 2])
     if d0 != 0.0 or d1 != 0.0 or d2 != 0.0:
         for k in range(bstart[i], bstart[i + 1]):
             v[bdof[k]] += B[k, 0] * d0 + B[k, 1] * d1 + B[k, 2] * d2
-        r[i, 0], r[i, 1], r[i, 2] = new[0], new[1], new[2]
-    return max(abs(d0), abs(d1), abs(d2))
+        r[i, 0], r[i, 1], r[i, 2] = r[i, 0] + d0, r[i, 1] + d1, r[i, 2] + d2
+    return d0 * d0 + d1 * d1 + d2 * d2
 
 
 @kernel
@@ -151,15 +153,15 @@ def gauss_seidel(start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion,
     -------
     sweeps : int
     error : float
-        Largest change in the last sweep over the mean normal impulse.
+        Root mean square of the changes in the last sweep over the mean normal impulse.
     """
     new, n = np.zeros(3), len(bias)
-    error, sweep = np.inf, 0
+    error, sweep, relax, best, since = np.inf, 0, 1.0, np.inf, 0
     while sweep < most:
-        largest = 0.0
+        total = 0.0
         for k in range(n):
             i = k if sweep % 2 == 0 else n - 1 - k
-            largest = max(largest, _visit(i, start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion, v, r, new))
+            total += _visit(i, start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion, relax, v, r, new)
         sweep += 1
         mean, count = 0.0, 0
         for i in range(n):
@@ -168,7 +170,11 @@ def gauss_seidel(start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion,
                 count += 1
         if count == 0:
             return sweep, 0.0
-        error = largest * count / mean
+        error = math.sqrt(total / count) * count / (mean * relax)
         if error <= tolerance:
             break
+        if error < 0.95 * best:
+            best, since = error, sweep
+        elif sweep - since > PATIENCE:  # impulses go round in circles
+            relax, best, since = max(0.7 * relax, 0.05), np.inf, sweep
     return sweep, error
