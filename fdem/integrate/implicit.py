@@ -129,7 +129,7 @@ class _Implicit:
             system.back_to(before)
             return False
         v1, a1 = rule.rates(d, v0, a0, h)
-        system.damped += system.numerical_loss(f0, self._f, d, v0, v1, h)
+        system.damped += system.numerical_loss(d, v0, v1, a0, a1)
         state.v[:], self._a = v1, a1
         return True
 
