@@ -14,7 +14,7 @@ import numpy as np
 
 from fdem._jit import kernel
 
-PATIENCE = 40  # sweeps without progress after which impulses are changed by less
+PATIENCE = 40  # sweeps after which progress is looked at
 
 
 @kernel
@@ -140,7 +140,7 @@ def _visit(i, start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion, re
 
 @kernel
 def gauss_seidel(start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion, v, r, tolerance, most):
-    """Sweep forth and back over the points until no impulse changes by more than `tolerance` of the mean one.
+    """Sweep over the points until no impulse changes by more than `tolerance` of the mean one.
 
     | argument | shape | unit | |
     |---|---|---|---|
@@ -156,11 +156,11 @@ def gauss_seidel(start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion,
         Root mean square of the changes in the last sweep over the mean normal impulse.
     """
     new, n = np.zeros(3), len(bias)
-    error, sweep, relax, best, since = np.inf, 0, 1.0, np.inf, 0
+    error, sweep, relax, before = np.inf, 0, 1.0, np.inf
     while sweep < most:
         total = 0.0
         for k in range(n):
-            i = k if sweep % 2 == 0 else n - 1 - k
+            i = k
             total += _visit(i, start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion, relax, v, r, new)
         sweep += 1
         mean, count = 0.0, 0
@@ -173,10 +173,10 @@ def gauss_seidel(start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion,
         error = math.sqrt(total / count) * count / (mean * relax)
         if error <= tolerance:
             break
-        if error < 0.95 * best:
-            best, since = error, sweep
-        elif sweep - since > PATIENCE:  # impulses go round in circles
-            relax, best, since = max(0.7 * relax, 0.05), np.inf, sweep
+        if sweep % PATIENCE == 0:
+            # impulses that go round in circles are changed by less, those that come down by more
+            relax = max(0.7 * relax, 0.05) if error > 0.9999 * before else min(1.2 * relax, 1.0)
+            before = error
     return sweep, error
 
 
