@@ -89,7 +89,7 @@ def contact_points(c: Contacts, x: Array) -> Points:
     """
     p, s = c.patches, c.surfaces
     facing = (p.flags & kernels.FACING) > 0
-    most = int(len(p.corners))
+    most = len(p.corners)
     patch, weight, gap = np.zeros(most, np.int64), np.zeros((most, 2)), np.zeros(most)
     n = nonsmooth.corner_points(p.gp, p.start, p.corners, p.offset, facing, x, patch, weight, gap)
     patch, weight, gap = patch[:n], weight[:n], gap[:n]
@@ -101,7 +101,7 @@ def contact_points(c: Contacts, x: Array) -> Points:
     same = (p.pair[patch[order]][1:] == p.pair[patch[order]][:-1]) & (cell[order][1:] == cell[order][:-1]).all(axis=1)
     first = order[np.concatenate([[True], ~same])] if n else order
     patch, weight, gap, position = patch[first], weight[first], gap[first], position[first]
-    normal, align, area = _normals(c, x)
+    normal, area = _normals(c, x)
     count = np.bincount(patch, minlength=len(p))
     points = np.repeat(weight[:, None], 3, axis=1)
     w = np.zeros((3 * len(patch), 7))
@@ -181,8 +181,8 @@ def _hard(c: Contacts, k: int) -> Array:
     return law.hard
 
 
-def _normals(c: Contacts, x: Array) -> tuple[Array, Array, Array]:
-    """Contact normal of every patch (from master to slave), -n_a.n_f, and its whole area."""
+def _normals(c: Contacts, x: Array) -> tuple[Array, Array]:
+    """Contact normal of every patch (from master to slave), and its whole area."""
     p = c.patches
     cross = [np.cross(x[p.gp[:, o + 1]] - x[p.gp[:, o]], x[p.gp[:, o + 2]] - x[p.gp[:, o]]) for o in (0, 3)]
     double = np.linalg.norm(cross[0], axis=1)
@@ -197,4 +197,4 @@ def _normals(c: Contacts, x: Array) -> tuple[Array, Array, Array]:
         length = np.linalg.norm(total, axis=1)[p.pair[loose]]
         good = length > 0.0
         normal[loose[good]] = total[p.pair[loose[good]]] / length[good, None]
-    return normal, align, area
+    return normal, area

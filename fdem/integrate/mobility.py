@@ -1,10 +1,12 @@
-"""How velocities answer to impulses: block inverses where masses stand alone, a sparse factor where stiffness couples."""
+"""How velocities answer to impulses: block inverses of masses, a sparse factor where stiffness couples."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+
+from fdem.integrate.matrices import projector
 
 __all__ = ["Mobility"]
 
@@ -29,7 +31,7 @@ class Mobility:
     def __init__(self, assembler: Any, mass: Any, stiffness: Any, h: float) -> None:
         self.n, self._stiffness = mass.shape[0], stiffness
         A = mass if stiffness is None else mass + h * h * stiffness
-        self._free = assembler.projector()
+        self._free = projector(assembler.system.constraints, self.n)
         A = assembler.constrained(A.tocsr())
         if stiffness is None:
             self._inverse = _block_inverse(A, assembler.groups)
@@ -41,7 +43,7 @@ class Mobility:
 
     def solve(self, f: Array) -> Array:
         """``A^-1 f`` (n,), zero where constrained."""
-        f = self._free @ f
+        f = self._free.T @ f
         return self._free @ (self._inverse @ f if self._factor is None else self._factor.solve(f))
 
     def stiffness_times(self, v: Array) -> Array:
@@ -63,7 +65,7 @@ class Mobility:
         full : (n, 3 count) matrix
             ``A^-1 J^T``.
         """
-        transposed = (self._free @ J.T).tocsr()
+        transposed = (self._free.T @ J.T).tocsr()
         if self._factor is None:
             full = self._free @ (self._inverse @ transposed)
             return _by_point(J, count), _by_point(full.T.tocsr(), count), full

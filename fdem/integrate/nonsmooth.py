@@ -10,6 +10,7 @@ import numpy as np
 
 from fdem.errors import ConvergenceError
 from fdem.integrate.implicit import _number
+from fdem.integrate.impulses import Impulses
 from fdem.integrate.matrices import Assembler
 
 __all__ = ["ContactDynamics"]
@@ -64,7 +65,7 @@ class ContactDynamics:
         if system.lag:
             system.state.v[:] = system.velocity()
             system.lag = 0.0
-        system.harden()
+        self._hard = Impulses(system)
         self.assembler = Assembler(system)
         self.step_length = self.dt
         self._points: Any = None
@@ -82,23 +83,25 @@ class ContactDynamics:
     def step(self, system: Any, dt: float) -> None:
         """Advance by `dt` [s]."""
         h, theta, state = dt, self.theta, system.state
-        system.commit_loads()
+        hard = self._hard
+        hard.commit_loads()
         before = state.v.copy()
-        system.drift((1.0 - theta) * h)
-        f = system.soft_forces()
-        mobility = system.mobility(self.assembler, h * theta)
+        hard.drift((1.0 - theta) * h)
+        mass = self.assembler.mass()
+        f = hard.soft_forces(mass)
+        mobility = hard.mobility(self.assembler, mass, h * theta)
         free = state.v + mobility.solve(h * f - h * h * (2.0 * theta - 1.0) * mobility.stiffness_times(state.v))
-        system.prescribe_velocity(free, h)
-        points = system.hard_points()
+        hard.prescribe_velocity(free, h)
+        points = hard.points()
         if points is None or not len(points):
             self.iterations, self.residual, rows = 0, 0.0, None
             state.v[:], impulses = free, np.zeros((0, 3))
         else:
-            rows = system.velocity_rows(points, self.assembler)
+            rows = hard.velocity_rows(points, self.assembler)
             impulses = self._contacts(system, points, mobility, rows, free, h)
         self._points, self._impulses = points, impulses
-        system.after_impulses(points, impulses, before, rows, h)
-        system.drift(theta * h)
+        hard.keep(points, impulses, before, rows, h)
+        hard.drift(theta * h)
         state.step += 1
 
     def _contacts(self, system: Any, points: Any, mobility: Any, rows: Any, free: Array, h: float) -> Array:
@@ -111,10 +114,10 @@ class ContactDynamics:
         closed = points.gap <= 0.0
         bias[bounce & closed] = points.restitution[bounce & closed] * np.minimum(incoming[bounce & closed], 0.0)
         bias[bounce & ~closed] = 1e300
-        impulses = self._warm(system, points, bounce & ~closed)
+        impulses = self._warm(points, bounce & ~closed)
         v = free + full @ impulses.ravel()
         W = mobility.delassus(J, B, n)
-        self.iterations, self.residual = system.solve_impulses(
+        self.iterations, self.residual = self._hard.solve(
             J, B, W, bias, points, h, v, impulses, self.tolerance, int(self.max_iterations)
         )
         if self.residual > self.tolerance or not np.isfinite(impulses).all():
@@ -125,11 +128,11 @@ class ContactDynamics:
         system.state.v[:] = free + full @ impulses.ravel()
         return impulses
 
-    def _warm(self, system: Any, points: Any, idle: Array) -> Array:
+    def _warm(self, points: Any, idle: Array) -> Array:
         """Impulses to start from: those of the last step at the same places."""
         impulses = np.zeros((len(points), 3))
         if self._points is not None and len(self._points) and len(self._impulses):
-            at = points.matched(self._points, system.pair_sizes())
+            at = points.matched(self._points, self._hard.pair_sizes())
             known = at >= 0
             world = np.einsum("nij,ni->nj", self._points.frame[at[known]], self._impulses[at[known]])
             impulses[known] = np.einsum("nij,nj->ni", points.frame[known], world)
