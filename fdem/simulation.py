@@ -108,7 +108,8 @@ class Simulation(Readout):
 
     def _make_system(self, compiled: Compiled) -> None:
         self.model, self.state, self.drags = compiled.model, compiled.state, compiled.drags
-        self._turning = [(batch, _run(batch.rows)) for batch in compiled.model.batches if batch.turns]
+        self._turning = [_run(batch.rows) for batch in compiled.model.batches if batch.turns]
+        self._turns = self.integrator.take_turns if getattr(self.integrator, "implicit", False) else self._advanced
         loads = compiled.loads + [Release(None, gp, forces, at, over) for gp, forces, at, over in self._releases]
         self.system = System(
             compiled.model,
@@ -151,8 +152,13 @@ class Simulation(Readout):
 
     def _step(self, dt: float) -> None:
         self.integrator.step(self.system, dt)
-        for batch, rows in self._turning:
-            self.turned[rows] += batch.turn(self.state.q, self.state.v, self.system.dt)
+        for rows, turn in zip(self._turning, self._turns(), strict=True):
+            self.turned[rows] += turn
+
+    def _advanced(self) -> list[np.ndarray]:
+        """Rotation vectors of the last explicit step, of the batches that turn."""
+        state, dt = self.state, self.system.dt
+        return [batch.turn(state.q, state.v, dt) for batch in self.model.batches if batch.turns]
 
     def _start_progress(self, n: int, end: float | None) -> Any:
         if self._progress is False:

@@ -40,7 +40,9 @@ class Joint:
     - ``needs``: of "bonds" (it carries tension, memory 3 tells whether the bond holds), "dilation" (memory 5 lifts the
       faces), "damping" (it reads ``mass``), "arms" (it reads ``arm``);
     - ``closure``, only if pressure is not ``kn depth``: a kernel that tells pressure, tangent stiffness and energy, and
-      the property ``reach`` [m], over which closure changes the stiffness. The stable step follows the tangent.
+      the property ``reach`` [m], over which closure changes the stiffness. The stable step follows the tangent;
+    - ``smooth = True``, if differences of the tractions over small changes of depth and slip are their derivatives but
+      for kinks: implicit integrators ask for it.
 
     and has the method ``properties(kn, ks)``. See ``examples/user_law.py``.
     """
@@ -53,6 +55,7 @@ class Joint:
     memory: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[frozenset[str] | set[str]] = frozenset()
     for_faces: ClassVar[bool] = True
+    smooth: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
