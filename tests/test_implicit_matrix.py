@@ -1,4 +1,4 @@
-"""The matrix of Newton's method against differences of the forces: every body, loads that depend on place and motion."""
+"""The matrix of Newton's method against differences of the forces: every body, loads that depend on place."""
 
 from __future__ import annotations
 

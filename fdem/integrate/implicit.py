@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,11 +17,14 @@ __all__ = ["GeneralizedAlpha", "Newmark"]
 
 Array = Any
 
+NEAR = 1e-3  # of the smallest block's size: longest motion of the guess, so that what touches is still there
+FAR = 0.25  # of that size: longest motion in a Newton step
 RECUTS = 4  # times the contacts may be found anew within a step
 CLIMB = 2.0  # growth of the residual that a Newton step may bring before it is shortened
 SHORTENINGS = 3  # of a Newton step, by half
 SMALLEST = 0.125  # share of Newton's steps taken where sets of contacts go round in circles
 HALVINGS = 10  # of the time step
+KEPT = 100_000  # accepted steps whose residuals are kept for the report
 
 
 def told(history: list[float]) -> str:
@@ -77,6 +81,7 @@ class _Implicit:
     implicit: bool = field(default=True, init=False, repr=False)
     history: list[float] = field(default_factory=list, init=False, repr=False)
     iterations: int = field(default=0, init=False, repr=False)
+    accepted: Any = field(default_factory=lambda: deque(maxlen=KEPT), init=False, repr=False)
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
@@ -135,6 +140,7 @@ class _Implicit:
         state, trial = system.state, self.trial
         start = self._begin(system, h)
         d = h * start.v + 0.5 * h * h * start.a
+        d *= min(1.0, NEAR / max(trial.relative_motion(d), NEAR))
         trial.prescribe(d, h)
         converged = False
         try:
@@ -152,7 +158,7 @@ class _Implicit:
         state.v[:] = v1
         plain = trial.plain_forces()
         system.damped += 0.5 * trial.work_on_free(start.plain + plain) - (trial.kinetic() - before)
-        trial.accept()
+        self.accepted.append((self.history[-1], trial.accept()))
         return True
 
     def _begin(self, system: Any, h: float) -> _Start:
@@ -197,6 +203,7 @@ class _Implicit:
             if ratio <= self.tolerance:
                 if recuts == RECUTS or not trial.find_contacts():
                     self.iterations = iteration
+                    trial.refuse_leaps()
                     return True
                 recuts += 1
                 r, a = self._residual(start)
@@ -213,7 +220,7 @@ class _Implicit:
                 change = self.linear.solve(A, r / (1.0 - rule.alpha_f), trial.assembler)
             except ConvergenceError:
                 break
-            change *= share
+            change *= min(share, FAR / max(trial.relative_motion(change), FAR))
             trial.displace_further(change)
             r, a = self._residual(start)
             for _ in range(SHORTENINGS):

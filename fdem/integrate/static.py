@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from fdem.errors import ConvergenceError, OverlapError
-from fdem.integrate.implicit import RECUTS, _number, told
+from fdem.integrate.implicit import KEPT, RECUTS, _number, told
 from fdem.integrate.linear import LinearSolver
 from fdem.integrate.trial import Trial
 
@@ -57,11 +58,13 @@ class Static:
     steps: int = field(default=1, kw_only=True)
     max_iterations: int = field(default=60, kw_only=True)
     solver: str = field(default="auto", kw_only=True)
-    scaled: bool = field(default=False, init=False, repr=False)
+    scaled: bool = field(default=True, init=False, repr=False)  # velocities mean nothing
     static: bool = field(default=True, init=False, repr=False)
     implicit: bool = field(default=True, init=False, repr=False)
     history: list[float] = field(default_factory=list, init=False, repr=False)
     iterations: int = field(default=0, init=False, repr=False)
+    accepted: Any = field(default_factory=lambda: deque(maxlen=KEPT), init=False, repr=False)
+    notes: list[str] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
         _number("Static", "tolerance", self.tolerance, 1e-15, 0.1)
@@ -119,7 +122,7 @@ class Static:
         try:
             trial.displace(d, h)
             if self._iterate((left - part) * start):
-                trial.accept()
+                self.accepted.append((self.history[-1], trial.accept()))
                 return True
         except OverlapError:
             if part <= 2.0 * 0.5**HALVINGS / self.steps:

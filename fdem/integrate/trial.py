@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from fdem.contact import tangents
+from fdem.contact.wear import refuse_leaps
 from fdem.errors import SceneError
 from fdem.integrate.matrices import Assembler, projector
 
@@ -104,12 +105,17 @@ class Trial:
             particles.turn[self._turning] = self.d[self._spin]
         self.system.current = False
 
-    def accept(self) -> None:
-        """The trial stands: what it turned is kept for `Simulation`, prescribed motion for the work it does."""
+    def accept(self) -> float:
+        """The trial stands; return the longest motion of a gridpoint in it [m].
+
+        What it turned is kept for `Simulation`, prescribed motion for the work it does.
+        """
         for batch, turned in zip(self._turners, self.turned, strict=True):
             turned += batch.turned(self._before[0], self.state.q, self.d)
         self.system.keep_motion(self.d)
+        longest = _longest(self.pushed(self.d))
         self.d[:] = 0.0
+        return longest
 
     def take_turns(self) -> list[Any]:
         """Rotation vectors since last asked, of the batches that turn."""
@@ -128,6 +134,17 @@ class Trial:
         if changed:
             system.current = False
         return changed
+
+    def refuse_leaps(self) -> None:
+        """Refuse a step in which blocks went through each other.
+
+        Raises
+        ------
+        OverlapError
+            Names the pair.
+        """
+        if self.system.contacts is not None:
+            refuse_leaps(self.system.contacts, self.state.x_old, self.state.x)
 
     def prescribe(self, d: Array, h: float, share: float | None = None) -> None:
         """Give constrained increments `d` their values over the next `h` [s]; `share` of displacements to come."""
