@@ -40,7 +40,7 @@ ARROWS = {
     "constraints": BASE | {"model", "state"},
     "loads": BASE | {"model", "state"},
     "compile": BASE | NUMERIC | {"scene"},
-    "integrate": BASE,
+    "integrate": BASE | {"kernels"},  # linear algebra; nothing of blocks and contacts
     "integrate.system": BASE | NUMERIC,  # and what belongs to it: what integrators see
     "results": BASE | {"model", "state"},
     "readout": BASE | {"model", "state", "contact", "integrate", "results", "description"},

@@ -224,7 +224,7 @@ class _Implicit:
                 break
             try:
                 A = trial.assembler.effective(cm, rule.gamma / (rule.beta * h), h)
-                change = self.linear.solve(A, r / (1.0 - rule.alpha_f), trial.assembler)
+                change = self.linear.solve(A, r / (1.0 - rule.alpha_f), trial.assembler, self.tolerance / ratio)
             except ConvergenceError:
                 break
             floor = trial.round_off(a)

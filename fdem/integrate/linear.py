@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 
 from fdem.errors import ConvergenceError, SceneError
+from fdem.integrate.matrices import SMALL
+from fdem.kernels import blockrows
 
 __all__ = ["METHODS", "LinearSolver"]
 
 Array = Any
 
 METHODS = ("auto", "direct", "cg", "amg")
-SMALL = 6000  # unknowns up to which sparse LU is the fastest even for blocks of zones
+SPARE, FINEST, COARSEST = 0.1, 1e-12, 1e-3  # relative residual of iterative methods: as Newton's method needs it
 PLANAR = 60_000  # the same for rigid blocks on joints, whose graphs fill in little
-SYMMETRIC = 1e-9  # |A - A^T| over |A| below which A counts as symmetric
 
 
 @dataclass
@@ -31,12 +32,10 @@ class LinearSolver:
     ----------
     method : str
         "auto", "direct", "cg" (block Jacobi) or "amg" (smoothed aggregation, for zones).
-    tolerance : float
-        Relative residual of iterative methods.
     """
 
     method: str = "auto"
-    tolerance: float = 1e-10
+    tolerance: float = field(default=1e-10, init=False)  # relative residual of iterative methods
     used: str = field(default="none yet", init=False)
     iterations: int = field(default=0, init=False)
 
@@ -44,7 +43,7 @@ class LinearSolver:
         if self.method not in METHODS:
             raise SceneError(f"solver = {self.method!r}, allowed are {', '.join(map(repr, METHODS))}")
 
-    def solve(self, A: Any, b: Array, assembler: Any, static: bool = False) -> Array:
+    def solve(self, A: Any, b: Array, assembler: Any, gain: float, static: bool = False) -> Array:
         """Solution of ``A x = b``.
 
         Parameters
@@ -53,6 +52,8 @@ class LinearSolver:
         b : (n,) array
         assembler : Assembler
             Knows which unknowns belong together, and the rigid motions.
+        gain : float
+            By how much the residual must fall to be small enough; iterative methods go `SPARE` further.
         static : bool
             Whether A has no mass in it.
 
@@ -61,7 +62,7 @@ class LinearSolver:
         ConvergenceError
             A is singular.
         """
-        n, groups = len(b), assembler.groups
+        n, groups, self.tolerance = len(b), assembler.groups, min(max(SPARE * gain, FINEST), COARSEST)
         if not b.any():
             return np.zeros(n)
         few = max((g.shape[1] for g in groups), default=3) > 3
@@ -69,12 +70,15 @@ class LinearSolver:
         if method == "auto":
             big = "amg" if static and assembler.modes() is not None else "cg"
             method = "direct" if n <= (PLANAR if few else SMALL) else big
-        if method != "direct" and not _symmetric(A):
-            return self._unsymmetric(A, b, groups)
         if method == "direct":
             return self._direct(A, b)
-        precondition = _block_jacobi(A, groups) if method == "cg" else _multigrid(A, assembler.modes())
-        x, count, converged = conjugate_gradients(A, b, precondition, self.tolerance)
+        if not assembler.symmetric:
+            return self._unsymmetric(A, b, groups)
+        if method == "cg" and len(groups) == 1 and groups[0].shape[1] == 3:
+            x, count, converged = _by_block_rows(A.tobsr((3, 3)), b, self.tolerance)
+        else:
+            precondition = _block_jacobi(A, groups) if method == "cg" else _multigrid(A, assembler.modes())
+            x, count, converged = conjugate_gradients(A, b, precondition, self.tolerance)
         self.used, self.iterations = f"{method}, {count} iterations", count
         return x if converged else self._unsymmetric(A, b, groups)
 
@@ -108,9 +112,18 @@ class LinearSolver:
         return x if info == 0 and np.isfinite(x).all() else self._direct(A, b)
 
 
-def _symmetric(A: Any) -> bool:
-    difference = abs(A - A.T)
-    return difference.nnz == 0 or difference.max() <= SYMMETRIC * abs(A).max()
+def _by_block_rows(A: Any, b: Array, tolerance: float, most: int = 3000) -> tuple[Array, int, bool]:
+    """Conjugate gradients with block Jacobi on the upper half of 3x3 block rows: solution, iterations, success."""
+    A.sort_indices()
+    row = np.repeat(np.arange(len(A.indptr) - 1), np.diff(A.indptr))
+    upper = np.flatnonzero(A.indices >= row)
+    start = np.searchsorted(row[upper], np.arange(len(A.indptr)))
+    data = np.ascontiguousarray(A.data[upper].reshape(-1, 9))
+    inverse = np.linalg.inv(data[start[:-1]].reshape(-1, 3, 3)).reshape(-1, 9)
+    x = np.empty_like(b)
+    column = A.indices[upper].astype(np.int64)
+    count = int(blockrows.conjugate_gradients(start, column, data, inverse, b, x, tolerance, most))
+    return x, abs(count), count > 0
 
 
 def _block_jacobi(A: Any, groups: list[Array]) -> Any:
@@ -138,7 +151,10 @@ def _multigrid(A: Any, modes: Array | None) -> Any:
     """One V-cycle of smoothed aggregation as a function."""
     from pyamg import smoothed_aggregation_solver
 
-    levels = smoothed_aggregation_solver(A.tobsr((3, 3)), B=modes, smooth="energy", max_coarse=500)
+    # sparse LU on the coarsest level: the default, a dense pseudo-inverse, takes longer than all the rest
+    levels = smoothed_aggregation_solver(
+        A.tobsr((3, 3)), B=modes, smooth="energy", max_coarse=500, coarse_solver="splu"
+    )
     return levels.aspreconditioner(cycle="V").matvec
 
 

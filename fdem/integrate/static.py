@@ -20,6 +20,7 @@ Array = Any
 
 TRUST = 1.0  # first pseudo-time step: joints resist as if they were closed and held
 LOOSE = 1e-6  # part of a block's stiffness on all its joints that holds what no joint holds
+MOST_TRUST = 1e12  # what nothing holds is held by so little of the joints' stiffness in the end
 GROWTH = 4.0  # of the pseudo-time step after an iteration that brought the residual down
 MOTION = 1e-2  # of the smallest block's size: longest motion in an iteration, so that contacts are not jumped over
 CLIMB = 2.0  # growth of the residual that an iteration may bring before it is shortened
@@ -79,7 +80,9 @@ class Static:
         system.fictitious = True
         self.trial = Trial(system)
         self.step_length = 1.0
+        self.trial.refuse_free()
         self._inertia = self.trial.reference_stiffness()
+        self.notes = []
         system.stale = False
 
     def take_turns(self) -> list[Any]:
@@ -103,7 +106,7 @@ class Static:
             part = min(part, left)
             if self._attempt(system, start, t + dt * (1.0 - left + part), left, part):
                 left -= part
-                part *= 2.0
+                part = min(2.0 * part, 1.0 / self.steps)
                 continue
             part *= 0.5
             if part < 0.5**HALVINGS / self.steps:
@@ -111,6 +114,8 @@ class Static:
                     f"no equilibrium found: {1.0 - left:.0%} of the load step were in balance; the last residuals are "
                     f"{told(self.history)} of the largest force, {self._culprit}"
                 )
+        loose = self.trial.loose()
+        self.notes = [f"nothing holds {', '.join(map(repr, loose))} in some direction"] if loose else []
         system.state.step += 1
 
     def _attempt(self, system: Any, start: Array, t: float, left: float, part: float) -> bool:
@@ -156,7 +161,7 @@ class Static:
             held = (diags(self._inertia * LOOSE) + trial.assembler.joints()) / trust
             A = trial.assembler.effective(0.0, 0.0, 0.0, held)
             floor = trial.round_off(None)
-            change = self.linear.solve(A, r, trial.assembler, static=True)
+            change = self.linear.solve(A, r, trial.assembler, self.tolerance / ratio, static=True)
             change *= min(1.0, MOTION / max(trial.relative_motion(change), 1e-300))
             trial.displace_further(change)
             trial.find_contacts()
@@ -170,6 +175,6 @@ class Static:
                 r = self._unbalanced(rest)
                 ratio = trial.residual_ratio(r, None)
             trust *= max(GROWTH, before / max(ratio, 1e-300)) if ratio <= before else 1.0 / GROWTH
-            trust = min(trust, 1e16)
+            trust = min(trust, MOST_TRUST)
         self._culprit = trial.worst(r)
         return False
