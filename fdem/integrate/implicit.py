@@ -227,7 +227,7 @@ class _Implicit:
                 change = self.linear.solve(A, r / (1.0 - rule.alpha_f), trial.assembler, self.tolerance / ratio)
             except ConvergenceError:
                 break
-            floor = trial.round_off(a)
+            floor = trial.round_off(r, ratio)
             change *= min(share, FAR / max(trial.relative_motion(change), FAR))
             trial.displace_further(change)
             r, a = self._residual(start)

@@ -65,11 +65,7 @@ class LinearSolver:
         n, groups, self.tolerance = len(b), assembler.groups, min(max(SPARE * gain, FINEST), COARSEST)
         if not b.any():
             return np.zeros(n)
-        few = max((g.shape[1] for g in groups), default=3) > 3
-        method = self.method
-        if method == "auto":
-            big = "amg" if static and assembler.modes() is not None else "cg"
-            method = "direct" if n <= (PLANAR if few else SMALL) else big
+        method = self.chosen(n, assembler, static)
         if method == "direct":
             return self._direct(A, b)
         if not assembler.symmetric:
@@ -81,6 +77,15 @@ class LinearSolver:
             x, count, converged = conjugate_gradients(A, b, precondition, self.tolerance)
         self.used, self.iterations = f"{method}, {count} iterations", count
         return x if converged else self._unsymmetric(A, b, groups)
+
+    def chosen(self, n: int, assembler: Any, static: bool) -> str:
+        """Method for `n` unknowns: as asked for, or by size and kind."""
+        if self.method != "auto":
+            return self.method
+        few = max((g.shape[1] for g in assembler.groups), default=3) > 3
+        if n <= (PLANAR if few else SMALL):
+            return "direct"
+        return "amg" if static and assembler.modes() is not None else "cg"
 
     def _direct(self, A: Any, b: Array) -> Array:
         from scipy.sparse.linalg import splu

@@ -81,9 +81,14 @@ class Static:
         self.trial = Trial(system)
         self.step_length = 1.0
         self.trial.refuse_free()
-        self._inertia = self.trial.reference_stiffness()
+        self._hold()
         self.notes = []
         system.stale = False
+
+    def _hold(self) -> None:
+        """Stiffness that holds what no joint holds; spheres, whose contacts are not known to `joints`, altogether."""
+        share = np.where(self.trial.round_owners(), 1.0, LOOSE)
+        self._inertia = share * self.trial.reference_stiffness()
 
     def take_turns(self) -> list[Any]:
         """Rotation vectors since last asked, of the batches that turn."""
@@ -91,7 +96,7 @@ class Static:
 
     def refresh(self, system: Any) -> None:
         """Find the reference stiffness again after contacts have changed."""
-        self._inertia = self.trial.reference_stiffness()
+        self._hold()
         system.stale = False
 
     def limit(self, system: Any) -> float:
@@ -158,9 +163,9 @@ class Static:
                     continue
                 self.iterations = iteration
                 return True
-            held = (diags(self._inertia * LOOSE) + trial.assembler.joints()) / trust
+            held = (diags(self._inertia) + trial.assembler.joints()) / trust
             A = trial.assembler.effective(0.0, 0.0, 0.0, held)
-            floor = trial.round_off(None)
+            floor = trial.round_off(r, ratio)
             change = self.linear.solve(A, r, trial.assembler, self.tolerance / ratio, static=True)
             change *= min(1.0, MOTION / max(trial.relative_motion(change), 1e-300))
             trial.displace_further(change)
@@ -174,7 +179,10 @@ class Static:
                 trial.displace_further(-change)
                 r = self._unbalanced(rest)
                 ratio = trial.residual_ratio(r, None)
-            trust *= max(GROWTH, before / max(ratio, 1e-300)) if ratio <= before else 1.0 / GROWTH
+            if ratio <= before:
+                trust *= max(GROWTH, before / max(ratio, 1e-300))
+            elif ratio > CLIMB * before:
+                trust /= GROWTH
             trust = min(trust, MOST_TRUST)
         self._culprit = trial.worst(r)
         return False

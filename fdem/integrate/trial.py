@@ -181,6 +181,14 @@ class Trial:
         diagonal = self.assembler.mass().diagonal() * self.system.block_frequencies()[self.owners()]
         return np.where(diagonal > 0.0, diagonal, 1.0)
 
+    def round_owners(self) -> Array:
+        """Which unknowns (n_dofs,) belong to blocks with spheres, whose contacts are no patches."""
+        particles = self.system.particles
+        mine = np.zeros(self.model.n_blocks, dtype=bool)
+        if particles is not None:
+            mine[particles.particles.block] = True
+        return mine[self.owners()]
+
     def refuse_free(self) -> None:
         """Refuse blocks that nothing can hold.
 
@@ -265,13 +273,10 @@ class Trial:
             pull = max(pull, _longest(self.pushed(a)))
         return max((b.unbalance(state.q, state.x, r, pushes, pull, None) for b in self.model.batches), default=0.0)
 
-    def round_off(self, a: Array | None) -> float:
-        """Residual ratio that the last bits of positions make of the stiffest gridpoint's force."""
+    def round_off(self, r: Array, ratio: float) -> float:
+        """Residual ratio that the last bits of positions make of the stiffest gridpoint's force; `r` makes `ratio`."""
         force = ROUND_OFF * float(np.abs(self.state.x).max(initial=0.0)) * self.assembler.stiffest
-        r = np.zeros(self.n)
-        for group in self.assembler.groups:
-            r[group[:, :3]] = force / np.sqrt(3.0)
-        return self.residual_ratio(r, a)
+        return force * ratio / max([_longest(r[group[:, :3]]) for group in self.assembler.groups])
 
     def worst(self, r: Array) -> str:
         """Block that the unbalanced forces `r` (n_dofs,) accelerate most, and its largest contact; for messages."""
