@@ -5,6 +5,8 @@ Values and tolerances are those of the verification oracle; scenes are shared wi
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from verify import test_contact_cases as shear
@@ -47,7 +49,7 @@ def stack(bodies, n=10, origin=(0.0, 0.0, 0.0), size=1.0, young=1e10, kn=1e9, de
 def carried(sim, n=10):
     """Vertical forces (n,) of the interfaces from below."""
     names = ["base", *(f"cube {k}" for k in range(n))]
-    return np.array([sim.pair_force(a, b)[2] for a, b in zip(names[:-1], names[1:], strict=True)])
+    return np.array([sim.pair_force(a, b)[2] for a, b in pairwise(names)])
 
 
 @pytest.mark.parametrize("kind", [*BODIES, "mixed"])
@@ -71,7 +73,8 @@ def test_chain_between_platens():
     """Ten blocks squeezed between platens, joints of different stiffness: u to 1e-10 (integ_relaxation_equilibrium)."""
     k = np.array([1e8, 2e8, 5e8, 1e8, 1e9, 2e8, 3e8, 1e8, 4e8, 1e8, 2e8])
     exact = [
-        -0.0036218663185378576, -0.0053837494778067865, -0.006068882741514358, -0.009396449060052214, -0.009719395691906,
+        -0.0036218663185378576, -0.0053837494778067865, -0.006068882741514358, -0.009396449060052214,
+        -0.009719395691906,
         -0.01128507885117493, -0.012296167624020882, -0.015231333942558739, -0.015940600522193205, -0.01867956684073107,
     ]  # fmt: skip
     scene = fdem.Scene(gravity=(0, 0, -G))
@@ -312,8 +315,10 @@ def test_in_situ_stress(body):
     assert np.abs(sim[rock].displacement).max() < 1e-6
 
 
-@pytest.mark.parametrize("law", [fdem.Coulomb(kn=1e8, ks=5e7, friction=30), fdem.Hertz(friction=30, young=1e9, poisson=0.2)],
-                         ids=["linear", "hertz"])  # fmt: skip
+ROUND = {"linear": fdem.Coulomb(kn=1e8, ks=5e7, friction=30), "hertz": fdem.Hertz(friction=30, young=1e9, poisson=0.2)}
+
+
+@pytest.mark.parametrize("law", ROUND.values(), ids=ROUND)
 def test_pile_of_spheres(law):
     """Three spheres and one on top, on a floor: the floor carries all, the top one a third on each."""
     scene, r = fdem.Scene(), 0.5
