@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from fdem.contact.table import frames
 from fdem.errors import UnsupportedError
-from fdem.kernels import joints, nonsmooth
+from fdem.contact.impulses import Problem, Solver
+from fdem.kernels import cones, joints, nonsmooth
 from fdem.kernels import patches as kernels
 
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
 
-__all__ = ["Points", "contact_points", "solve", "table"]
+__all__ = ["Points", "Solver", "contact_points", "point_rows", "problem", "table"]
 
 Array = NDArray[np.float64]
 
@@ -154,24 +155,38 @@ def table(c: Contacts, points: Points, force: Array, slip: Array) -> dict[str, A
     }
 
 
-def solve(
-    J: Any,
-    B: Any,
-    W: Array,
-    bias: Array,
-    points: Points,
-    h: float,
-    v: Array,
-    impulses: Array,
-    tolerance: float,
-    most: int,
-) -> tuple[int, float]:
-    """Impulses of all points by Gauss-Seidel (kernels/nonsmooth.py), in place; sweeps and last relative change."""
+def point_rows(points: Points, placement: Any, mobile: Any) -> tuple[Any, Any, Array]:
+    """Rows of relative velocities: start (n + 1,), unknowns, values (entries, 3); see kernels/cones.py.
+
+    Parameters
+    ----------
+    placement : scipy CSR matrix
+        ``P`` (3 n_gp, n_dofs) of ``xdot = P v``.
+    mobile : (n_gp,) array of bool
+        Gridpoints of blocks that can move.
+    """
+    n, most = len(points), 24 * len(points)
+    start = np.zeros(n + 1, np.int64)
+    while True:
+        dof, J = np.zeros(most, np.int64), np.zeros((most, 3))
+        found = cones.point_rows(
+            points.gp, points.w, points.frame, placement.indptr, placement.indices, placement.data, mobile, most,
+            start, dof, J,
+        )  # fmt: skip
+        if found <= most:
+            return start, dof[:found], J[:found]
+        most = found
+
+
+def problem(
+    start: Any, dof: Any, J: Array, Jf: Array, A: Any, inverse: Any, rows: Any, free: Array, points: Points, h: float
+) -> Problem:
+    """Contact problem of `points` over a step of `h` [s], without gaps and restitution; see `Problem`."""
     share = points.area * h
-    sweeps, error = nonsmooth.gauss_seidel(
-        *J, *B, W, bias, points.friction, points.tension * share, points.cohesion * share, v, impulses, tolerance, most
-    )
-    return int(sweeps), float(error)
+    return Problem(
+        start, dof, J, Jf, A, inverse, rows, free, np.zeros(len(points)), points.friction,
+        points.cohesion * share, points.tension * share,
+    )  # fmt: skip
 
 
 def _hard(c: Contacts, k: int) -> Array:

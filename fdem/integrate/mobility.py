@@ -24,89 +24,114 @@ class Mobility:
         K (n, n) of zones and other bodies that deform; None where nothing does.
     h : float
         Share of the step that K acts over [s].
+
+    Attributes
+    ----------
+    matrix : scipy CSC matrix
+        A, with a diagonal in the place of what is constrained.
     """
 
     def __init__(self, assembler: Any, mass: Any, stiffness: Any, h: float) -> None:
         self.n, self._stiffness = mass.shape[0], stiffness
+        constraints = assembler.system.constraints
+        self._oblique = constraints.oblique_rows, constraints.oblique
+        self._held = constraints.held()
         A = mass if stiffness is None else mass + h * h * stiffness
-        self._free = assembler.projector()
-        A = assembler.constrained(A.tocsr())
+        self.matrix = assembler.constrained(A.tocsr()).tocsc()
+        self.matrix.sort_indices()
+        self._blocks: list[tuple[Array, Array]] = []
         if stiffness is None:
-            self._inverse = _block_inverse(A, assembler.groups)
-            self._factor = None
+            self._blocks = _block_inverses(self.matrix, assembler.groups)
         else:
             from scipy.sparse.linalg import splu
 
-            self._factor = splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+            self._factor = splu(self.matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+
+    def release(self, f: Array) -> Array:
+        """`f` (n,) with its constrained part set to zero, in place."""
+        f[self._held] = 0.0
+        rows, projectors = self._oblique
+        if len(rows):
+            index = rows[:, None] + np.arange(3)
+            f[index] = np.einsum("nij,nj->ni", projectors, f[index])
+        return f
 
     def solve(self, f: Array) -> Array:
         """``A^-1 f`` (n,), zero where constrained."""
-        f = self._free @ f
-        return self._free @ (self._inverse @ f if self._factor is None else self._factor.solve(f))
+        f = self.release(f.copy())
+        if self._stiffness is not None:
+            return self.release(self._factor.solve(f))
+        z = np.zeros(self.n)
+        for group, inverse in self._blocks:
+            z[group] = np.einsum("nij,nj->ni", inverse, f[group])
+        return self.release(z)
 
     def stiffness_times(self, v: Array) -> Array:
         """``K v`` (n,)."""
         return np.zeros(self.n) if self._stiffness is None else self._stiffness @ v
 
-    def rows(self, J: Any, count: int) -> tuple[Any, Any, Any]:
-        """Rows of `count` points for the solver.
+    def free_rows(self, start: Array, dof: Array, J: Array) -> Array:
+        """Rows `J` (entries, 3) with what is constrained taken out, on the same entries."""
+        if not len(self._held) and not len(self._oblique[0]):
+            return J
+        J = J.copy()
+        held = np.zeros(self.n, dtype=bool)
+        held[self._held] = True
+        J[held[dof]] = 0.0
+        rows, projectors = self._oblique
+        if len(rows):
+            triple = np.full(self.n, -1)
+            triple[rows[:, None] + np.arange(3)] = np.arange(len(rows))[:, None]
+            point = np.repeat(np.arange(len(start) - 1), np.diff(start)).astype(np.int64)
+            key = point * self.n + dof
+            order = np.argsort(key)
+            mine = np.flatnonzero(triple[dof] >= 0)
+            of = triple[dof[mine]]
+            fellows = order[np.searchsorted(key[order], (key[mine] - dof[mine] + rows[of])[:, None] + np.arange(3))]
+            J[mine] = np.einsum("nk,nka->na", projectors[of, dof[mine] - rows[of]], J[fellows])
+        return J
 
-        Parameters
-        ----------
-        J : (3 count, n) scipy CSR
-            Relative velocities of the points.
+    def answers(self, start: Array, dof: Array, J: Array) -> tuple[Array, Array, Array]:
+        """``A^-1 J^T`` by points: start, unknowns, values (entries, 3)."""
+        from scipy.sparse import coo_matrix, csr_matrix
 
-        Returns
-        -------
-        J, B : tuple of arrays
-            ``start``, ``dof``, values (entries, 3), of J and of ``B = A^-1 J^T`` as far as J reaches.
-        full : (n, 3 count) matrix
-            ``A^-1 J^T``.
-        """
-        transposed = (self._free @ J.T).tocsr()
-        if self._factor is None:
-            full = self._free @ (self._inverse @ transposed)
-            return _by_point(J, count), _by_point(full.T.tocsr(), count), full
-        dense = self._free @ self._factor.solve(transposed.toarray())
-        touched = np.unique(J.indices)
-        from scipy.sparse import csr_matrix
-
+        count = len(start) - 1
+        point = np.repeat(np.arange(count), np.diff(start))
+        rows = 3 * point[:, None] + np.arange(3)
+        cols = np.broadcast_to(dof[:, None], J.shape)
+        wide = coo_matrix((J.ravel(), (rows.ravel(), cols.ravel())), shape=(3 * count, self.n)).tocsr()
+        if self._stiffness is None:
+            return _by_point(wide @ _joined(self._blocks, self.n), count)
+        dense = self._factor.solve(wide.T.toarray()).T
         reach = np.zeros_like(dense)
-        reach[touched] = dense[touched]
-        reach[np.abs(reach) < 1e-14 * np.abs(reach).max()] = 0.0
-        return _by_point(J, count), _by_point(csr_matrix(reach.T), count), dense
-
-    @staticmethod
-    def delassus(J: Any, B: Any, count: int) -> Array:
-        """``J_i B_i`` of every point (count, 3, 3) [1/kg]."""
-        from scipy.sparse import csr_matrix
-
-        n = 1 + max(int(J[1].max(initial=0)), int(B[1].max(initial=0)))
-        W = np.zeros((count, 3, 3))
-        rows = [csr_matrix((J[2][:, k], J[1], J[0]), shape=(count, n)) for k in range(3)]
-        columns = [csr_matrix((B[2][:, k], B[1], B[0]), shape=(count, n)) for k in range(3)]
-        for a in range(3):
-            for b in range(3):
-                W[:, a, b] = np.asarray(rows[a].multiply(columns[b]).sum(axis=1)).ravel()
-        return W
+        touched = np.unique(dof)  # velocities elsewhere are found at the end
+        reach[:, touched] = dense[:, touched]
+        return _by_point(csr_matrix(reach), count)
 
 
-def _block_inverse(A: Any, groups: list[Array]) -> Any:
-    """Inverse of a block-diagonal matrix, scipy CSR."""
+def _block_inverses(A: Any, groups: list[Array]) -> list[tuple[Array, Array]]:
+    """Inverses of the diagonal blocks (m, k, k) of each of the `groups` (m, k) of unknowns."""
+    rows, cols, found = A.indices, np.repeat(np.arange(A.shape[0]), np.diff(A.indptr)), []
+    for group in groups:
+        m, k = group.shape
+        place = np.full(A.shape[0], -1)
+        place[group] = np.arange(m * k).reshape(m, k)
+        mine = (place[rows] >= 0) & (place[cols] >= 0)
+        r, c = place[rows[mine]], place[cols[mine]]
+        blocks = np.zeros((m, k, k))
+        blocks[r // k, r % k, c % k] = A.data[mine]
+        found.append((group, np.linalg.inv(blocks)))
+    return found
+
+
+def _joined(blocks: list[tuple[Array, Array]], n: int) -> Any:
+    """Block-diagonal matrix (n, n), scipy CSR."""
     from scipy.sparse import coo_matrix
 
-    rows, cols, values = [], [], []
-    for group in groups:
-        k = group.shape[1]
-        blocks = np.empty((len(group), k, k))
-        for i in range(k):
-            for j in range(k):
-                blocks[:, i, j] = np.asarray(A[group[:, i], group[:, j]]).ravel()
-        rows.append(np.repeat(group, k, axis=1).ravel())
-        cols.append(np.tile(group, (1, k)).ravel())
-        values.append(np.linalg.inv(blocks).ravel())
-    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))
-    return coo_matrix(entries, shape=A.shape).tocsr()
+    rows = np.concatenate([np.repeat(group, group.shape[1], axis=1).ravel() for group, _ in blocks])
+    cols = np.concatenate([np.tile(group, (1, group.shape[1])).ravel() for group, _ in blocks])
+    values = np.concatenate([inverse.ravel() for _, inverse in blocks])
+    return coo_matrix((values, (rows, cols)), shape=(n, n)).tocsr()
 
 
 def _by_point(J: Any, count: int) -> tuple[Array, Array, Array]:

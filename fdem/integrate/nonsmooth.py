@@ -48,10 +48,12 @@ class ContactDynamics:
     dt: float
     theta: float = 0.5
     tolerance: float = 1e-6
-    max_iterations: int = field(default=100_000, kw_only=True)
+    max_iterations: int = field(default=1000, kw_only=True)
     scaled: bool = field(default=False, init=False, repr=False)
     iterations: int = field(default=0, init=False, repr=False)
+    sweeps: int = field(default=0, init=False, repr=False)
     residual: float = field(default=0.0, init=False, repr=False)
+    penetration: float = field(default=0.0, init=False, repr=False)
 
     def __post_init__(self) -> None:
         _number("ContactDynamics", "dt", self.dt, np.finfo(float).tiny)
@@ -69,6 +71,7 @@ class ContactDynamics:
         self.step_length = self.dt
         self._points: Any = None
         self._impulses = np.zeros((0, 3))
+        self.solver = system.impulse_solver(self.tolerance, int(self.max_iterations))
         system.stale = False
 
     def refresh(self, system: Any) -> None:
@@ -91,41 +94,43 @@ class ContactDynamics:
         system.prescribe_velocity(free, h)
         points = system.hard_points()
         if points is None or not len(points):
-            self.iterations, self.residual, rows = 0, 0.0, None
-            state.v[:], impulses = free, np.zeros((0, 3))
+            self.iterations, self.sweeps, self.residual, self.penetration = 0, 0, 0.0, 0.0
+            state.v[:], impulses, problem = free, np.zeros((0, 3)), None
         else:
-            rows = system.velocity_rows(points, self.assembler)
-            impulses = self._contacts(system, points, mobility, rows, free, h)
+            impulses, problem = self._contacts(system, points, mobility, free, h)
         self._points, self._impulses = points, impulses
-        system.after_impulses(points, impulses, before, rows, h)
+        system.after_impulses(points, impulses, before, problem, h)
         system.drift(theta * h)
         state.step += 1
 
-    def _contacts(self, system: Any, points: Any, mobility: Any, rows: Any, free: Array, h: float) -> Array:
+    def _contacts(self, system: Any, points: Any, mobility: Any, free: Array, h: float) -> tuple[Array, Any]:
         """Impulses (n, 3) of the contact points; velocities are changed by them."""
-        J, B, full = mobility.rows(rows, len(points))
-        n = len(points)
-        incoming = (rows @ system.state.v).reshape(n, 3)[:, 0]
-        bias = np.maximum(points.gap, 0.0) / (self.theta * h)
-        bounce = points.restitution > 0.0
+        start, dof, J = system.point_rows(points, self.assembler)
+        Jf = mobility.free_rows(start, dof, J)
+        problem = system.impulse_problem(
+            start, dof, J, Jf, mobility.matrix, mobility.solve, lambda: mobility.answers(start, dof, Jf), free,
+            points, h,
+        )  # fmt: skip
         closed = points.gap <= 0.0
-        bias[bounce & closed] = points.restitution[bounce & closed] * np.minimum(incoming[bounce & closed], 0.0)
-        bias[bounce & ~closed] = 1e300
-        impulses = self._warm(system, points, bounce & ~closed)
-        v = free + full @ impulses.ravel()
-        W = mobility.delassus(J, B, n)
-        self.iterations, self.residual = system.solve_impulses(
-            J, B, W, bias, points, h, v, impulses, self.tolerance, int(self.max_iterations)
-        )
-        if self.residual > self.tolerance or not np.isfinite(impulses).all():
+        bounce = (points.restitution > 0.0) & closed
+        incoming = problem.relative(system.state.v)[:, 0]
+        problem.bias[:] = np.maximum(points.gap, 0.0) / (self.theta * h)
+        problem.bias[bounce] = points.restitution[bounce] * np.minimum(incoming[bounce], 0.0)
+        impulses = self._warm(system, points)
+        impulses, v, self.residual = self.solver.solve(problem, impulses)
+        self.iterations, self.sweeps = self.solver.iterations, self.solver.sweeps
+        self.penetration = -float(points.gap.min(initial=0.0))
+        if not self.residual <= self.tolerance:
             raise ConvergenceError(
-                f"step {system.state.step}: contact impulses still change by {self.residual:.2e} of the mean after "
-                f"{self.iterations} sweeps; a shorter step or a larger tolerance helps"
+                f"step {system.state.step}: impulses are wrong by {self.residual:.2e} of the mean after "
+                f"{self.iterations} iterations and {self.sweeps} sweeps, worst between "
+                f"{system.contacts.pair_names(int(points.pair[self.solver.worst]))}; residuals: "
+                f"{['%.1e' % e for e in self.solver.history[-8:]]}; a shorter step or a larger tolerance helps"
             )
-        system.state.v[:] = free + full @ impulses.ravel()
-        return impulses
+        system.state.v[:] = v
+        return impulses, problem
 
-    def _warm(self, system: Any, points: Any, idle: Array) -> Array:
+    def _warm(self, system: Any, points: Any) -> Array:
         """Impulses to start from: those of the last step at the same places."""
         impulses = np.zeros((len(points), 3))
         if self._points is not None and len(self._points) and len(self._impulses):
@@ -133,5 +138,4 @@ class ContactDynamics:
             known = at >= 0
             world = np.einsum("nij,ni->nj", self._points.frame[at[known]], self._impulses[at[known]])
             impulses[known] = np.einsum("nij,nj->ni", points.frame[known], world)
-        impulses[idle] = 0.0
         return impulses

@@ -398,24 +398,20 @@ class System:
         size = self.contacts.surfaces.size
         return np.minimum(size[self.contacts.slave], size[self.contacts.master])
 
-    def velocity_rows(self, points: Any, assembler: Any) -> Any:
-        """``J`` (3 n, n_dofs) of the relative velocities of contact points in their frames, scipy CSR."""
-        from scipy.sparse import coo_matrix
+    def point_rows(self, points: Any, assembler: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Relative velocities of contact points over the unknowns: start, unknowns, values (entries, 3)."""
+        mobile = ~self.model.fixed[self.model.gp_block]
+        return hard.point_rows(points, assembler.placement(), mobile)
 
-        n = len(points)
-        values = points.frame[:, :, None, :] * points.w[:, None, :, None]
-        rows = np.broadcast_to((3 * np.arange(n)[:, None] + np.arange(3))[:, :, None, None], values.shape)
-        cols = np.broadcast_to((3 * points.gp[:, :, None] + np.arange(3))[:, None], values.shape)
-        mobile = ~self.model.fixed[self.model.gp_block[points.gp]]
-        mobile = np.broadcast_to(mobile[:, None, :, None], values.shape) & (values != 0.0)
-        entries = values[mobile], (rows[mobile], cols[mobile])
-        return (coo_matrix(entries, shape=(3 * n, self.state.x.size)).tocsr() @ assembler.placement()).tocsr()
+    def impulse_problem(self, *parts: Any) -> Any:
+        """Contact problem; see `hard.problem`."""
+        return hard.problem(*parts)
 
-    def solve_impulses(self, *arguments: Any) -> tuple[int, float]:
-        """Gauss-Seidel over the contact points; see `hard.solve`."""
-        return hard.solve(*arguments)
+    def impulse_solver(self, tolerance: float, most: int) -> Any:
+        """Solver of contact problems."""
+        return hard.Solver(tolerance, most)
 
-    def after_impulses(self, points: Any, impulses: np.ndarray, before: np.ndarray, rows: Any, h: float) -> None:
+    def after_impulses(self, points: Any, impulses: np.ndarray, before: np.ndarray, problem: Any, h: float) -> None:
         """Keep the mean forces of the step for the tables, and count what contact dissipated."""
         self._hard_force[:] = 0.0
         self._hard_points = None
@@ -424,10 +420,13 @@ class System:
         world = np.einsum("nij,ni->nj", points.frame, impulses) / h
         shares = points.w[:, :, None] * world[:, None, :]
         np.add.at(self._hard_force, points.gp.ravel(), shares.reshape(-1, 3))
-        mean = 0.5 * (rows @ (before + self.state.v)).reshape(-1, 3)
+        after = problem.relative(self.state.v)
+        after[:, 0] -= problem.bias
+        mean = 0.5 * (problem.relative(before) + after)
+        mean[:, 0] -= 0.5 * problem.bias
         self.contacts.work[0] -= float((impulses[:, 1:] * mean[:, 1:]).sum())
         self.contacts.work[1] -= float((impulses[:, 0] * mean[:, 0]).sum())
-        sliding = np.hypot(*(rows @ self.state.v).reshape(-1, 3)[:, 1:].T)
+        sliding = np.hypot(after[:, 1], after[:, 2])
         self._hard_points = points, hard.table(self.contacts, points, impulses / h, sliding)
 
     def contact_table(self) -> dict[str, Any]:

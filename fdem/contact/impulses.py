@@ -1,0 +1,252 @@
+"""Impulses at points of hard contact: proximal Newton on all of them at once, Gauss-Seidel where that gives up.
+
+Far from the solution the problem is made convex (associated cone, shift ``mu |u_t|`` kept from the last iterate), which
+finds the impulses of blocks at rest in some ten iterations whatever their number and their ratio of masses; what
+slides is then solved with Coulomb's law itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fdem.kernels import cones, nonsmooth
+
+__all__ = ["Problem", "Solver"]
+
+Array = NDArray[np.float64]
+
+SOFT, STIFF = 10.0, 1e5  # least and largest factor rho over the mass that a point seems to have
+GROWTH, SHRINK = 2.0, 0.3  # of rho after a proximal step that was easy, or failed
+EASY = 5  # Newton iterations of an easy proximal step
+INNER = 12  # most iterations of a proximal step
+ACCURACY = 0.1  # of the residual: to this a proximal step is solved
+SHORTENINGS = 5  # of a Newton step
+SLOW = 0.8  # a convex step that leaves more of the residual makes way for Coulomb's law
+PATIENCE = 4  # proximal steps that fail before Gauss-Seidel is asked to help
+SWEEPS = 100  # of Gauss-Seidel when it helps
+
+
+@dataclass
+class Problem:
+    """One contact problem: ``A (v - free) = J^T r`` and the law at every point.
+
+    Attributes
+    ----------
+    start, dof, J : arrays
+        Rows of relative velocities (kernels/cones.py).
+    Jf : (entries, 3) array
+        The rows on what is free to move.
+    A : (n_dofs, n_dofs) scipy CSC matrix
+        Masses, and stiffness over the step.
+    inverse : callable
+        ``f -> A^-1 f``, zero where velocities are given.
+    rows : callable
+        Entries of ``A^-1 Jf^T`` by points, for Gauss-Seidel.
+    free : (n_dofs,) array
+        Velocities without impulses [m/s].
+    bias : (n,) array
+        Added to the normal velocity [m/s]: gap over step, restitution.
+    friction, cohesion, tension : (n,) arrays
+        [-], [N s], [N s].
+    """
+
+    start: Any
+    dof: Any
+    J: Array
+    Jf: Array
+    A: Any
+    inverse: Callable[[Array], Array]
+    rows: Callable[[], tuple[Any, Any, Array]]
+    free: Array
+    bias: Array
+    friction: Array
+    cohesion: Array
+    tension: Array
+    rho: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.rho = np.zeros(len(self.bias))
+        cones.effective_masses(self.start, self.dof, self.Jf, self.A.diagonal(), self.rho)
+        # a point between bodies whose motion is given has no say
+        self.rho[self.rho == 0.0] = self.rho.max(initial=1.0)
+
+    def velocity(self, r: Array) -> Array:
+        """Velocities (n_dofs,) under the impulses `r` (n, 3)."""
+        return self.free + self.inverse(self.push(r))
+
+    def push(self, r: Array) -> Array:
+        """``J^T r`` (n_dofs,) on what is free."""
+        f = np.zeros(len(self.free))
+        cones.add_impulses(self.start, self.dof, self.Jf, r, f)
+        return f
+
+    def relative(self, v: Array) -> Array:
+        """Relative velocities (n, 3), bias included."""
+        u = np.empty((len(self.bias), 3))
+        cones.velocities(self.start, self.dof, self.J, v, self.bias, u)
+        return u
+
+    def residual(self, r: Array, v: Array) -> tuple[float, int]:
+        """Largest ``|r - P(r - rho u)|`` over the mean pressing impulse, and its point."""
+        worst, where, mean = cones.natural_residual(
+            self.relative(v), self.friction, self.tension, self.cohesion, self.rho, r
+        )
+        return (worst / mean if mean > 0.0 else float(worst > 0.0)), int(where)
+
+
+class Solver:
+    """Solves contact problems, one after the other, each from what the last has taught.
+
+    Parameters
+    ----------
+    tolerance : float
+        Residual to reach: largest error of an impulse over the mean one.
+    most : int
+        Newton iterations after which to give up.
+
+    Attributes
+    ----------
+    iterations, sweeps : int
+        Newton iterations (each with a factorisation) and Gauss-Seidel sweeps of the last problem.
+    history : list of float
+        Residuals of the last problem, step by step.
+    """
+
+    def __init__(self, tolerance: float, most: int) -> None:
+        self.tolerance, self.most = tolerance, most
+        self.iterations, self.sweeps, self.worst = 0, 0, 0
+        self.history: list[float] = []
+        self._pattern: tuple[Any, ...] | None = None
+
+    def solve(self, p: Problem, r: Array) -> tuple[Array, Array, float]:
+        """Impulses (n, 3), velocities (n_dofs,) and residual, from impulses `r` to start with."""
+        self.p, self.iterations, self.sweeps, self.history = p, 0, 0, []
+        v = p.velocity(r)
+        residual, self.worst = p.residual(r, v)
+        self.history.append(residual)
+        convex = not (p.cohesion.any() or p.tension.any())
+        stiff, failed = float(np.clip(1.0 / max(residual, 1e-300), SOFT, 1e3)), 0
+        while residual > self.tolerance and self.iterations < self.most:
+            trial, easy = self._proximal(r, v, stiff, residual, convex)
+            after, worst = np.inf, self.worst
+            if trial is not None:
+                v_trial = p.velocity(trial)
+                after, worst = p.residual(trial, v_trial)
+            if trial is not None and (easy is not None or after < residual):
+                r, v, gain, residual, self.worst = trial, v_trial, after / residual, after, worst
+                failed = 0 if easy is not None else failed + 1
+                if easy:
+                    stiff = min(GROWTH * stiff, STIFF)
+                if convex and gain > SLOW:
+                    convex, stiff = False, min(stiff, 100.0)
+            else:
+                failed += 1
+            if easy is None:
+                convex, stiff = False, max(SHRINK * stiff, 1.0)
+            self.history.append(residual)
+            if failed >= PATIENCE:
+                r, v = self._sweep(r, SWEEPS)
+                residual, self.worst = p.residual(r, v)
+                self.history.append(residual)
+                failed, stiff = 0, SOFT
+        return r, v, residual
+
+    def _proximal(
+        self, r: Array, v: Array, stiff: float, residual: float, convex: bool
+    ) -> tuple[Array | None, bool | None]:
+        """Solve ``A (x - free) = J^T P(r - rho u(x))``; impulses, and whether that was easy (None: it failed)."""
+        p, rho = self.p, stiff * self.p.rho
+        u = p.relative(v)
+        shift = p.friction * np.hypot(u[:, 1], u[:, 2]) if convex else np.zeros(len(rho))
+        new, slope = np.empty_like(r), np.empty((len(r), 3, 3))
+        diagonal = p.A.diagonal()
+
+        def balance(x: Array) -> Array:
+            u = p.relative(x)
+            u[:, 0] += shift
+            z = r - rho[:, None] * u
+            if convex:
+                cones.project_cone(z, p.friction, new, slope)
+            else:
+                cones.project(z, p.friction, p.tension, p.cohesion, new, slope)
+            return p.A @ (x - p.free) - p.push(new)
+
+        def merit(x: Array, F: Array) -> float:
+            # of the convex problem its energy, else the size of what is out of balance
+            if not convex:
+                return float(F @ (F / diagonal))
+            d = x - p.free
+            return 0.5 * float(d @ (p.A @ d)) + 0.5 * float((np.einsum("ni,ni->n", new, new) / rho).sum())
+
+        x = v.copy()
+        F = balance(x)
+        value = merit(x, F)
+        for iteration in range(INNER + 1):
+            pressing = new[:, 0][new[:, 0] > 0.0]
+            scale = float(pressing.mean()) if len(pressing) else 1.0
+            error = float(np.abs(F).max(initial=0.0)) / scale
+            if not np.isfinite(error):
+                return None, None
+            if error <= max(ACCURACY * min(residual, 1.0), 0.01 * self.tolerance):
+                return new, iteration <= EASY
+            if iteration == INNER:
+                return new, None
+            change = self._factor(slope, rho).solve(-F)
+            self.iterations += 1
+            fall, share = float(F @ change) if convex else -2.0 * value, 1.0
+            for _ in range(SHORTENINGS):
+                F = balance(x + share * change)
+                after = merit(x + share * change, F)
+                if after <= value + 0.1 * share * fall or -fall <= 1e-12 * abs(value):
+                    break
+                share *= 0.5
+            x, value = x + share * change, after
+        return None, None
+
+    def _factor(self, slope: Array, rho: Array) -> Any:
+        """Sparse factors of ``A + J^T (rho slope) J``."""
+        from scipy.sparse import csc_matrix
+        from scipy.sparse.linalg import splu
+
+        p = self.p
+        indptr, indices, at = self._places()
+        data = np.zeros(len(indices))
+        data[at] = p.A.data
+        cones.add_matrices(p.start, p.dof, p.Jf, slope, rho, indptr, indices, data)
+        matrix = csc_matrix((data, indices, indptr), shape=p.A.shape)
+        return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True})
+
+    def _places(self) -> tuple[Any, Any, Any]:
+        """Pattern of the matrices, and where the entries of A are in it; kept as long as the same unknowns touch."""
+        from scipy.sparse import csr_matrix
+
+        p, kept = self.p, self._pattern
+        key = p.start, p.dof, p.A.indptr, p.A.indices
+        if kept is not None and all(np.array_equal(a, b) for a, b in zip(kept[0], key, strict=True)):
+            return kept[1]  # type: ignore[no-any-return]
+        touch = csr_matrix((np.ones(len(p.dof), bool), p.dof, p.start), shape=(len(p.bias), len(p.free)))
+        own = csr_matrix((np.ones(p.A.nnz, bool), p.A.indices, p.A.indptr), shape=p.A.shape)
+        pattern = (touch.T @ touch + own + own.T).tocsc()
+        pattern.sort_indices()
+        columns = np.repeat(np.arange(len(p.free)), np.diff(p.A.indptr))
+        width = len(p.free)
+        keys = np.repeat(np.arange(width), np.diff(pattern.indptr)).astype(np.int64) * width + pattern.indices
+        at = np.searchsorted(keys, columns.astype(np.int64) * width + p.A.indices)
+        found = pattern.indptr, pattern.indices, at
+        self._pattern = key, found
+        return found
+
+    def _sweep(self, r: Array, most: int) -> tuple[Array, Array]:
+        """Sweeps of Gauss-Seidel from the impulses `r`."""
+        p, r = self.p, r.copy()
+        v = p.velocity(r)
+        sweeps, _ = nonsmooth.gauss_seidel(
+            p.start, p.dof, p.J, *p.rows(), p.bias, p.friction, p.tension, p.cohesion, v, r, self.tolerance, most
+        )
+        self.sweeps += int(sweeps)
+        return r, p.velocity(r)
