@@ -32,9 +32,13 @@ bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python benchmarks/step.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/flex.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/contact.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/bodies.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/jointed.py
 
 docs: $(STAMP)
 	$(BIN)/python tools/api_table.py docs/api.md
+	$(ONE_THREAD) $(BIN)/python tools/contact_pictures.py docs
+	$(ONE_THREAD) $(BIN)/python tools/contact_study.py
 
 clean:
 	rm -rf .venv out build *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

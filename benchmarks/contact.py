@@ -122,12 +122,13 @@ def clip(name: str, body: object, edge: float) -> None:
         c.slave, c.master, c._window, size, s.face_start, s.corner_start, s.limit, s.convex, g.corner_x, g.normal,
         g.lower, g.upper, g.block_lower, g.block_upper,
     )  # fmt: skip
-    most, offsets = int(np.diff(s.corner_start).max()), known_offsets(c.patches, s.n_faces, g)
+    most, corners = np.minimum(s.most[c.slave], s.most[c.master]), int(np.diff(s.corner_start).max())
+    offsets = known_offsets(c.patches, s.n_faces, g)
 
     def clipped() -> None:
         clipping.clip_faces(
-            *near, c.master, c._window, size, most, s.face_start, s.corner_start, s.corner_w, s.ref, s.limit, s.convex,
-            s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper,
+            *near, c.master, c._window, size, most, corners, s.face_start, s.corner_start, s.corner_w, s.ref, s.limit,
+            s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper,
         )  # fmt: skip
 
     def cut() -> None:

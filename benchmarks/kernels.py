@@ -149,11 +149,11 @@ def table(n: int) -> None:
         {
             "triad": lambda: triad(a, b, c, 0.5),
             "linear": lambda: linear_force(u, tets, large.gradients, lam_v, mu_v, f),
-            "stvk": lambda: large.internal(x, flat),
-            "stvk 2 threads": lambda: large2.internal(x, flat),
+            "stvk": lambda: large.internal(None, x, flat),
+            "stvk 2 threads": lambda: large2.internal(None, x, flat),
             "block rows": rows_only,
-            "small strain": lambda: small.internal(x, flat),
-            "small strain 2 threads": lambda: small2.internal(x, flat),
+            "small strain": lambda: small.internal(None, x, flat),
+            "small strain 2 threads": lambda: small2.internal(None, x, flat),
         }
     )
     m = len(tets)

@@ -49,7 +49,7 @@ def main() -> None:
             for _ in range(REPEATS):
                 start = time.perf_counter()
                 for _ in range(STEPS):
-                    batch.internal(state.x, state.f)
+                    batch.internal(state.q, state.x, state.f)
                 middle = time.perf_counter()
                 sim.system.current = False
                 sim.cycle(STEPS)

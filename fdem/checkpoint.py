@@ -11,10 +11,12 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from fdem.contact import sphere_readout
 from fdem.contact.carry import adopt
 from fdem.errors import CheckpointError
 from fdem.model import Model
 from fdem.scene import boundary
+from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Block, Gridpoint
 
 if TYPE_CHECKING:
@@ -25,7 +27,7 @@ __all__ = ["Carrier", "carry", "read", "restore", "save", "transfer"]
 FORMAT = 1
 SCALARS = ("lag", "dt", "work", "damped", "omega")
 ARRAYS = ("q", "v", "x", "x_old")
-KEPT = ("elastic_old", "_load_old", "_reaction_old", "_k_used", "force_before")
+KEPT = ("elastic_old", "_load_old", "_reaction_old", "_turning_old", "_spun", "_k_used", "force_before")
 
 
 class Carrier:
@@ -80,6 +82,8 @@ def carry(old: Carrier, sim: Simulation, *, motion: bool = True) -> None:
             sim.system._load_old[b] = old.system._load_old[a]
     if sim.system.contacts is not None and old.system.contacts is not None:
         adopt(sim.system.contacts, old.system.contacts, np.array(old.rows(model)), old.gridpoints(model), state.x)
+    if sim.system.particles is not None and old.system.particles is not None:
+        sphere_readout.adopt(sim.system.particles, old.system.particles, np.array(old.rows(model)), state.x)
     if motion:
         for name in SCALARS:
             setattr(sim.system, name, getattr(old.system, name))
@@ -88,31 +92,26 @@ def carry(old: Carrier, sim: Simulation, *, motion: bool = True) -> None:
 
 
 def _carry_block(old: Carrier, sim: Simulation, before: int, after: int, motion: bool) -> None:
-    source, target = old.model.batch_row[before], sim.model.batch_row[after]
-    if source < 0 or target < 0 or old.model.zoned[before] != sim.model.zoned[after]:
+    source, target = old.model.batch_of(before), sim.model.batch_of(after)
+    rows = int(old.model.batch_row[before]), int(sim.model.batch_row[after])
+    if source is None or target is None or type(source) is not type(target):
+        if target is not None:
+            target.fit(rows[1], sim.state.q, sim.state.x)
         return
-    if not sim.model.zoned[after]:
-        sim.state.q[7 * target : 7 * target + 7] = old.state.q[7 * source : 7 * source + 7]
-        sim.system.q0[7 * target : 7 * target + 7] = old.system.q0[7 * source : 7 * source + 7]
-        sim.turned[target] = old.turned[source]
-        a, b = 6 * source, 6 * target
-        width = 6
-    else:
-        a = old.model.deformable.dofs.start + 3 * old.model.gp_range[before, 0]
-        b = sim.model.deformable.dofs.start + 3 * sim.model.gp_range[after, 0]
-        width = 3 * int(np.diff(sim.model.gp_range[after])[0])
-        c = old.model.deformable.coords.start + 3 * old.model.gp_range[before, 0]
-        d = sim.model.deformable.coords.start + 3 * sim.model.gp_range[after, 0]
-        sim.system.q0[d : d + width] = old.system.q0[c : c + width]
+    a, b = source.coords_of(rows[0]), target.coords_of(rows[1])
+    sim.state.q[b] = old.state.q[a]
+    sim.system.q0[b] = old.system.q0[a]
+    sim.turned[after] = old.turned[before]
     if not motion:
         return
-    sim.state.v[b : b + width] = old.state.v[a : a + width]
+    a, b = source.dofs_of(rows[0]), target.dofs_of(rows[1])
+    sim.state.v[b] = old.state.v[a]
     if old.system.elastic_old is not None:
         if sim.system.elastic_old is None:
             sim.system.elastic_old = np.zeros_like(sim.state.v)
-        sim.system.elastic_old[b : b + width] = old.system.elastic_old[a : a + width]
+        sim.system.elastic_old[b] = old.system.elastic_old[a]
     if old.system._reaction_old is not None and sim.system._reaction_old is not None:
-        sim.system._reaction_old[b : b + width] = old.system._reaction_old[a : a + width]
+        sim.system._reaction_old[b] = old.system._reaction_old[a]
 
 
 def transfer(source: Simulation, sim: Simulation) -> None:
@@ -124,7 +123,7 @@ def transfer(source: Simulation, sim: Simulation) -> None:
         sim.system.forces()
         sim.system.commit()
         sim.system.current = False
-        sim.x0, sim.centroids0 = sim.state.x.copy(), sim.centroids()
+        sim.x0, sim.centroids0 = sim.places(), sim.centroids()
         sim.turned[:] = 0.0
 
 
@@ -139,10 +138,16 @@ def save(sim: Simulation, path: str | Path) -> None:
     for i, scaled in enumerate(system.scaled):
         if scaled is not None:
             arrays[f"scaled_{i}"] = scaled
+    arrays |= {f"coupled_{i}": group.inverse for i, group in enumerate(system.constraints.coupled)}
     if system.contacts is not None:
         arrays |= {f"contacts_{key}": value for key, value in system.contacts.state_arrays().items()}
+    if system.particles is not None:
+        arrays |= {f"spheres_{key}": value for key, value in sphere_readout.state_arrays(system.particles).items()}
     for i, (gp, forces, _, _) in enumerate(sim._releases):
         arrays |= {f"release_gp_{i}": gp, f"release_f_{i}": forces}
+    if sim._before is not None:
+        layout = sim.compiled.layout
+        arrays |= {f"kept_{key}": value for key, value in Kept(layout.origin, layout.kept).arrays().items()}
     handles = list(sim._applied)
     head = {
         "format": FORMAT,
@@ -239,6 +244,8 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
     sim._releases = [
         (saved[f"release_gp_{i}"], saved[f"release_f_{i}"], at, over) for i, (at, over) in enumerate(head["releases"])
     ]
+    kept = {key[len("kept_") :]: value for key, value in saved.items() if key.startswith("kept_")}
+    sim._before = Kept.read(kept) if kept else None
     sim._compile()
     for name, have, wanted in zip(head["names"], digests(sim.model), head["digests"], strict=True):
         if have != wanted:
@@ -256,8 +263,13 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
         if name in saved:
             setattr(system, name, saved[name])
     system.scaled = [saved.get(f"scaled_{i}") for i in range(len(system.scaled))]
+    for i, group in enumerate(system.constraints.coupled):
+        group.weigh(saved[f"coupled_{i}"], sim.integrator.scaled)
     if system.contacts is not None:
         system.contacts.restore({k[len("contacts_") :]: v for k, v in saved.items() if k.startswith("contacts_")})
+    if system.particles is not None:
+        own = {k[len("spheres_") :]: v for k, v in saved.items() if k.startswith("spheres_")}
+        sphere_readout.restore(system.particles, own, state.x)
     for name in SCALARS:
         setattr(system, name, float.fromhex(head["scalars"][name]))
     state.t, state.step = float.fromhex(head["t"]), int(head["step"])

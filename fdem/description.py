@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from fdem.contact import sphere_readout
 from fdem.contact.carry import notes
 
 __all__ = ["describe"]
@@ -23,6 +24,8 @@ def describe(sim: Any) -> str:
     lines += model.notes
     if contacts is not None:
         lines += notes(contacts)
+    if sim.system.particles is not None:
+        lines += sphere_readout.notes(sim.system.particles)
     if sim.ledger is None:
         lines.append("energy ledger: left out (energy=False)")
     if sim.system.f_load is None:
@@ -39,9 +42,9 @@ def _step(sim: Any) -> str:
     if not bounds.any():
         return f"step: {sim.dt:.4g} s, nothing limits it"
     block = int(np.argmax(bounds))
+    gp = getattr(sim.model.batch_of(block), "limiting_gridpoint", None)
     where = ""
-    if sim.model.zoned[block]:
-        gp = int(sim.model.deformable.limiting_gridpoint[sim.model.batch_row[block]])
-        where = f" at gridpoint {gp - int(sim.model.gp_range[block, 0])}"
+    if gp is not None:
+        where = f" at gridpoint {int(gp[sim.model.batch_row[block]]) - int(sim.model.gp_range[block, 0])}"
     limit = sim.integrator.limit(sim.system)
     return f"step: {sim.dt:.4g} s, limit {limit:.4g} s set by block {sim.model.names[block]!r}{where}"

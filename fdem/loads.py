@@ -13,7 +13,7 @@ import numpy as np
 
 from fdem.errors import SceneError, SolveError, UnsupportedError
 
-__all__ = ["Bedding", "Dashpot", "DeadLoad", "Follower", "Load", "Release", "UserLoad"]
+__all__ = ["Bedding", "Couple", "Dashpot", "DeadLoad", "Follower", "Load", "Release", "Torque", "UserLoad"]
 
 
 class Load(ABC):
@@ -124,6 +124,61 @@ class Follower(Load):
                 second.append(self.gp[self.corner[:, j]])
                 blocks.append(-factor * self.share[:, k, None, None] * turn)
         return np.concatenate(first), np.concatenate(second), np.concatenate(blocks)
+
+
+class Couple(Load):
+    """Moments on blocks by forces on their gridpoints, whatever the blocks' rotation.
+
+    Parameters
+    ----------
+    parts : list of (gp (n,), weights, moment (3,))
+        Gridpoints of each block, the moment [N m] in global axes, and masses (n,) of gridpoints, whose forces are those
+        that a rotation takes, ``m theta x r``; or weights W (n, 3) that give the block's deformation gradient,
+        ``F = x^T W``: then forces ``A W`` with ``A F^T = [T]x / 2``, which turn a block that moves as a whole and do
+        not strain it.
+    """
+
+    def __init__(self, handle: Any, parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
+        super().__init__(handle, np.concatenate([gp for gp, *_ in parts]))
+        self.parts = parts
+
+    def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        """Forces (n, 3) [N] on the gridpoints."""
+        forces = []
+        for gp, weight, moment in self.parts:
+            if weight.ndim == 1:
+                arm = x[gp] - weight @ x[gp] / weight.sum()
+                second = np.einsum("n,ni,nj->ij", weight, arm, arm)
+                spin = np.linalg.solve(np.trace(second) * np.eye(3) - second, moment)
+                forces.append(weight[:, None] * np.cross(spin, arm))
+            else:
+                turned = weight @ np.linalg.pinv(x[gp].T @ weight)  # W F^-1
+                forces.append(0.5 * np.cross(moment, turned))
+        return np.vstack(forces)
+
+
+class Torque(Load):
+    """Moments on blocks that have no gridpoints to take forces (spheres): on their rotational unknowns.
+
+    Parameters
+    ----------
+    dofs : (n,) int array
+        First of the three rotational unknowns of each block.
+    moments : (n, 3) array
+        [N m], global axes.
+    """
+
+    def __init__(self, handle: Any, dofs: np.ndarray, moments: np.ndarray) -> None:
+        super().__init__(handle, np.zeros(0, dtype=np.int64))
+        self.dofs, self.moments = dofs[:, None] + np.arange(3), moments
+
+    def values(self, t: float, x: np.ndarray, xdot: np.ndarray | None) -> np.ndarray:
+        """No forces on gridpoints."""
+        return np.zeros((0, 3))
+
+    def turn(self, t: float, f: np.ndarray) -> None:
+        """Add the moments to generalised forces `f`."""
+        f[self.dofs] += self.factor(t) * self.moments
 
 
 class Dashpot(Load):

@@ -22,9 +22,9 @@ class Model:
     gp_range : (n_blocks, 2) int array
         First and last + 1 gridpoint of each block.
     zoned, fixed : (n_blocks,) bool array
-        How the blocks move.
-    batch_row : (n_blocks,) int array
-        Row of the block in its batch (-1: fixed).
+        Whether the block has zones; whether it is fixed, or driven.
+    batch_row, batch_index : (n_blocks,) int array
+        Row of the block in its batch, and which of `batches` that is (-1: fixed).
     volume, mass, size : (n_blocks,) array
         Volume [m^3], mass [kg] (0 for fixed blocks without material), cube root of volume [m].
     origin : (3,) array
@@ -37,8 +37,12 @@ class Model:
         Surface triangles of all blocks, their block and row in `tags` (-1: none).
     batches : tuple
         The formulations present.
+    deformable : ZonedBlocks or None
+        The one whose blocks have zones.
     gravity : (3,) array
         [m/s^2].
+    balls, ball_radius : (n,) arrays
+        Gridpoints that are centres of spheres, those of clumps too, and the radii [m].
     notes : list of str
         What was compiled, chosen and left out, for `describe`.
     """
@@ -49,6 +53,7 @@ class Model:
     zoned: np.ndarray
     fixed: np.ndarray
     batch_row: np.ndarray
+    batch_index: np.ndarray
     volume: np.ndarray
     mass: np.ndarray
     size: np.ndarray
@@ -64,18 +69,23 @@ class Model:
     triangle_tag: np.ndarray
     tags: list[str]
     batches: tuple[Any, ...]
-    rigid: Any
     deformable: Any
     gravity: np.ndarray
     damping_ratio: float
     joint_names: list[str]
     wave_speed: np.ndarray
+    balls: np.ndarray
+    ball_radius: np.ndarray
     notes: list[str] = field(default_factory=list)
 
     @property
     def n_blocks(self) -> int:
         """Number of blocks."""
         return len(self.names)
+
+    def batch_of(self, block: int) -> Any:
+        """The formulation of a block; None if it is fixed."""
+        return self.batches[self.batch_index[block]] if self.batch_index[block] >= 0 else None
 
     @cached_property
     def gp_block(self) -> np.ndarray:

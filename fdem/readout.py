@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fdem.contact.carry import present, scatter_between
+from fdem.contact.sphere_readout import forces_between, sphere_table
 from fdem.errors import UnsupportedError
 from fdem.integrate.system import System
 from fdem.model import Model
@@ -55,11 +57,18 @@ class Readout:
 
     def positions(self) -> np.ndarray:
         """Gridpoint positions (n_gp, 3) [m]."""
-        return self.state.x + self.model.origin
+        return self.places() + self.model.origin
+
+    def places(self) -> np.ndarray:
+        """Places (n_gp, 3) [m] of gridpoints as material points, relative to the model's origin."""
+        x = self.state.x.copy()
+        for batch in self.model.batches:
+            batch.show(self.state.q, x)
+        return x
 
     def displacements(self) -> np.ndarray:
         """Gridpoint displacements (n_gp, 3) [m] since the start or the last reset."""
-        return self.state.x - self.x0
+        return self.places() - self.x0
 
     def pushed(self, v: np.ndarray) -> np.ndarray:
         """Gridpoint values (n_gp, 3) of generalised velocities or accelerations."""
@@ -72,97 +81,46 @@ class Readout:
         """Gridpoint velocities (n_gp, 3) [m/s]."""
         return self.pushed(self.velocity)
 
-    def centroids(self) -> np.ndarray:
-        """Centroids of all blocks (n_blocks, 3) [m], relative to the model's origin."""
-        model, result = self.model, self.model.centroid.copy()
-        if model.rigid is not None:
-            rows = np.flatnonzero((model.batch_row >= 0) & ~model.zoned)
-            result[rows] = self.state.q[model.rigid.coords].reshape(-1, 7)[:, :3]
-        if model.deformable is not None:
-            centre = self.state.x[model.zones].mean(axis=1)
-            volume = self._volumes()
-            for axis in range(3):
-                weighted = np.bincount(model.zone_block, volume * centre[:, axis], model.n_blocks)
-                rows = np.flatnonzero(model.zoned)
-                result[rows, axis] = weighted[rows] / np.bincount(model.zone_block, volume, model.n_blocks)[rows]
+    def _per_block(self, read: Callable[[Any], np.ndarray], result: np.ndarray) -> np.ndarray:
+        """Fill the rows of `result` (n_blocks, ...) with what `read` gets from every batch."""
+        for batch in self.model.batches:
+            result[batch.rows] = read(batch)
         return result
 
-    def _volumes(self) -> np.ndarray:
-        a, b, c, d = (self.state.x[self.model.zones[:, k]] for k in range(4))
-        return np.abs(np.einsum("ni,ni->n", np.cross(b - a, c - a), d - a)) / 6.0
+    def centroids(self) -> np.ndarray:
+        """Centroids of all blocks (n_blocks, 3) [m], relative to the model's origin."""
+        q, x = self.state.q, self.state.x
+        return self._per_block(lambda batch: batch.centres(q, x), self.model.centroid.copy())
 
-    def block_motion(self, v: np.ndarray, row: int) -> tuple[np.ndarray, np.ndarray]:
-        """Translation and rotation (3,), (3,) of block `row` in generalised velocities `v`."""
-        model = self.model
-        if model.batch_row[row] < 0:
-            return np.zeros(3), np.zeros(3)
-        if not model.zoned[row]:
-            six = v[6 * model.batch_row[row] :][:6]
-            return six[:3].copy(), six[3:].copy()
-        start, stop = model.gp_range[row]
-        mass = model.gp_mass[start:stop]
-        speed = v[model.deformable.dofs].reshape(-1, 3)[start:stop]
-        mean = mass @ speed / mass.sum()
-        arm = self.state.x[start:stop] - mass @ self.state.x[start:stop] / mass.sum()
-        inertia = (mass @ (arm * arm).sum(axis=1)) * np.eye(3) - np.einsum("n,ni,nj->ij", mass, arm, arm)
-        return mean, np.linalg.solve(inertia, mass @ np.cross(arm, speed - mean))
+    def block_motions(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean translation and rotation (n_blocks, 3) each in generalised velocities `v`; zero for fixed blocks."""
+        both = np.zeros((2, self.model.n_blocks, 3))
+        for batch in self.model.batches:
+            both[:, batch.rows] = batch.motion(self.state.q, v, self.state.x)
+        return both[0], both[1]
 
-    def angular_momentum(self, row: int) -> np.ndarray:
-        """Angular momentum (3,) about the centroid of block `row` [kg m^2/s]."""
-        model, v = self.model, self.velocity
-        if model.batch_row[row] < 0:
-            return np.zeros(3)
-        if not model.zoned[row]:
-            return np.asarray(model.rigid.angular_momentum(self.state.q, v)[model.batch_row[row]])
-        start, stop = model.gp_range[row]
-        momentum = model.deformable.multiply_mass(v[model.deformable.dofs].reshape(-1, 3))[start:stop]
-        arm = self.state.x[start:stop] - self.centroids()[row]
-        return np.cross(arm, momentum).sum(axis=0)
+    def angular_momenta(self) -> np.ndarray:
+        """Angular momentum (n_blocks, 3) about the centroids [kg m^2/s]; zero for fixed blocks."""
+        q, v, x = self.state.q, self.velocity, self.state.x
+        return self._per_block(lambda batch: batch.angular_momentum(q, v, x), np.zeros((self.model.n_blocks, 3)))
 
-    def inertia(self, row: int) -> np.ndarray:
-        """Moments of inertia (3, 3) of block `row` now [kg m^2]."""
-        model = self.model
-        if model.zoned[row]:
-            zones = model.zones[model.zone_start[row] : model.zone_start[row + 1]]
-            corner = self.state.x[zones] - self.centroids()[row]
-            mass = model.deformable.zone_mass[model.zone_start[row] : model.zone_start[row + 1]]
-            total = corner.sum(axis=1)
-            second = np.einsum("n,nki,nkj->ij", mass, corner, corner) + np.einsum("n,ni,nj->ij", mass, total, total)
-            second /= 20.0
-            return np.trace(second) * np.eye(3) - second
-        if model.batch_row[row] >= 0:
-            return np.asarray(model.rigid.inertia(self.state.q)[model.batch_row[row]])
-        raise UnsupportedError(f"block {model.names[row]!r} is fixed: its inertia takes no part")
+    def inertias(self) -> np.ndarray:
+        """Moments of inertia (n_blocks, 3, 3) about the centroids now [kg m^2]; nan for fixed blocks."""
+        q, x = self.state.q, self.state.x
+        return self._per_block(lambda batch: batch.inertia(q, x), np.full((self.model.n_blocks, 3, 3), np.nan))
 
-    def rotation(self, row: int) -> np.ndarray:
-        """Rotation matrix (3, 3) of block `row` from the start."""
-        model = self.model
-        if model.batch_row[row] < 0:
-            return np.eye(3)
-        if not model.zoned[row]:
-            return np.asarray(model.rigid.rotation(self.state.q)[model.batch_row[row]])
-        start, stop = model.gp_range[row]
-        mass = model.gp_mass[start:stop, None]
-        arms = [p[start:stop] - (mass * p[start:stop]).sum(axis=0) / mass.sum() for p in (model.X, self.state.x)]
-        left, _, right = np.linalg.svd(arms[1].T @ (mass * arms[0]))
-        return left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
+    def rotations(self) -> np.ndarray:
+        """Rotations (n_blocks, 3, 3) from the start."""
+        q, x = self.state.q, self.state.x
+        return self._per_block(lambda batch: batch.rotation(q, x), np.tile(np.eye(3), (self.model.n_blocks, 1, 1)))
 
-    def rotation_vector(self, row: int) -> np.ndarray:
-        """Accumulated rotation vector (3,) of block `row` [rad]."""
-        model = self.model
-        if model.batch_row[row] >= 0 and not model.zoned[row]:
-            return self.turned[model.batch_row[row]].copy()
-        R = self.rotation(row)
-        axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-        sine = np.linalg.norm(axis)
-        angle = np.arctan2(sine, np.trace(R) - 1.0)
-        if sine < 1e-9:
-            if angle < 1.0:
-                return 0.5 * axis
-            half = 0.5 * (R + np.eye(3))
-            column = half[:, int(np.argmax(np.diag(half)))]
-            return np.pi * column / np.linalg.norm(column)
-        return angle / sine * axis
+    def rotation_vectors(self) -> np.ndarray:
+        """Rotation vectors (n_blocks, 3) [rad]: accumulated, or that of the rotation where a batch accumulates none."""
+        result = self.turned.copy()
+        for batch in self.model.batches:
+            if not batch.turns:
+                result[batch.rows] = [_vector(R) for R in batch.rotation(self.state.q, self.state.x)]
+        return result
 
     def zone_stresses(self) -> np.ndarray:
         """Cauchy stress (m, 6) of all zones [Pa]."""
@@ -170,37 +128,56 @@ class Readout:
             return np.zeros((0, 6))
         return np.asarray(self.model.deformable.zone_stress(self.state.x))
 
-    def _block_mean(self, values: np.ndarray) -> np.ndarray:
-        result = np.full((self.model.n_blocks, 6), np.nan)
-        if len(values):
-            volume, block = self._volumes(), self.model.zone_block
-            total = np.bincount(block, volume, self.model.n_blocks)
-            rows = np.flatnonzero(self.model.zoned)
-            for k in range(6):
-                result[rows, k] = np.bincount(block, volume * values[:, k], self.model.n_blocks)[rows] / total[rows]
-        return result
-
     def block_stress(self) -> np.ndarray:
-        """Volume mean of the stress (n_blocks, 6) [Pa]; nan for rigid blocks."""
-        return self._block_mean(self.zone_stresses())
+        """Volume mean of the stress (n_blocks, 6) [Pa]; nan for blocks that have none."""
+        return self._strained("stresses")
 
     def block_strain(self) -> np.ndarray:
-        """Volume mean of the strain (n_blocks, 6); nan for rigid blocks."""
-        batch = self.model.deformable
-        return self._block_mean(np.zeros((0, 6)) if batch is None else batch.zone_strain(self.state.x))
+        """Volume mean of the strain (n_blocks, 6); nan for blocks that have none."""
+        return self._strained("strains")
+
+    def _strained(self, name: str) -> np.ndarray:
+        result = np.full((self.model.n_blocks, 6), np.nan)
+        for batch in self.model.batches:
+            if batch.has_strain:
+                result[batch.rows] = getattr(batch, name)(self.state.q, self.state.x)
+        return result
+
+    def surface_stress(self, triangles: np.ndarray) -> np.ndarray:
+        """Stress (n, 6) [Pa] at surface triangles (rows of the model's) without zones; nan where a block has none."""
+        model = self.model
+        return self._stress_at(model.triangle_block[triangles], model.X[model.triangles[triangles]].mean(axis=1))
+
+    def gridpoint_stress(self) -> np.ndarray:
+        """Stress (n_gp, 6) [Pa] at gridpoints without zones; nan at others, and where a block has none."""
+        return self._stress_at(self.model.gp_block, self.model.X)
+
+    def _stress_at(self, block: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Stress (n, 6) [Pa] at reference places of the blocks `block` (n,) that have strain but no zones."""
+        model, result = self.model, np.full((len(places), 6), np.nan)
+        for number, batch in enumerate(model.batches):
+            mine = model.batch_index[block] == number
+            if batch.has_strain and not batch.in_place and mine.any():
+                result[mine] = batch.stress_at(self.state.q, model.batch_row[block[mine]], places[mine])
+        return result
 
     def contact_table(self) -> dict[str, Any]:
-        """Contact points: blocks, joint, normal, gap, area, traction, force, slip, state, position."""
-        contacts = self.system.contacts
+        """Contact points: blocks, joint, normal, gap, area, traction, force, slip, state, failure, position."""
+        contacts, particles = self.system.contacts, self.system.particles
         self.forces()
-        if contacts is None:
-            empty: dict[str, Any] = {
-                name: np.zeros(0, dtype=np.int32) for name in ("block_a", "block_b", "joint", "state")
-            }
-            empty |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
-            empty |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
-            return empty | {"joint_names": self.model.joint_names}
-        table = dict(self.system.contact_table())
+        names = ("block_a", "block_b", "joint", "state", "failure", "patch")
+        table: dict[str, Any] = {name: np.zeros(0, dtype=np.int32) for name in names}
+        table |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
+        table |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
+        table["frame"] = np.zeros((0, 3, 3))
+        if contacts is not None:
+            table = dict(self.system.contact_table())
+        if particles is not None:
+            own = sphere_table(particles)
+            n = len(own["joint"])
+            # what only laws of faces remember
+            own |= {name: np.zeros((n, *rows.shape[1:])) for name, rows in table.items() if name not in own}
+            table = {name: np.concatenate([table[name], own[name]]) for name in table}
         table["position"] = table["position"] + self.model.origin
         table["joint_names"] = self.model.joint_names
         return table
@@ -219,6 +196,9 @@ class Readout:
         if contacts is not None:
             self.forces()
             scatter_between(contacts, chosen, total)
+        if self.system.particles is not None:
+            self.forces()
+            forces_between(self.system.particles, chosen, total)
         total[chosen[self.model.gp_block]] = 0.0
         gp = np.flatnonzero(np.any(total != 0.0, axis=1))
         return gp, total[gp]
@@ -233,28 +213,23 @@ class Readout:
         for held in system.constraints.reactions:
             if held.handle is handle:
                 index = held.rows[:, None] + np.arange(3)
-                moments = (held.rows < 6 * self._n_rigid) & (held.rows % 6 == 3)
-                total -= np.einsum("nij,nj->ni", held.projector, f[index])[~moments].sum(axis=0)
+                total -= np.einsum("nij,nj->ni", held.projector, f[index]).sum(axis=0)
                 total -= self.state.f_gp[held.static_gp].sum(axis=0)
                 if system.f_load is not None:
                     total -= system.f_load[held.static_gp].sum(axis=0)
+        for group in system.constraints.coupled:
+            total += group.reaction(handle, f)
         for drag, dofs in self.drags:
             if drag is handle:
                 total += self._drag_force(drag, dofs)
         return total
 
-    @property
-    def _n_rigid(self) -> int:
-        return 0 if self.model.rigid is None else (self.model.rigid.dofs.stop - self.model.rigid.dofs.start) // 6
-
     drags: list[tuple[Any, np.ndarray]]
 
     def _drag_force(self, drag: Any, dofs: np.ndarray) -> np.ndarray:
-        v, total = np.zeros_like(self.state.v), np.zeros(3)
+        v = np.zeros_like(self.state.v)
         v[dofs] = self.velocity[dofs]
-        for row in range(self.model.n_blocks):
-            total -= drag.load.mass * self.model.mass[row] * self.block_motion(v, row)[0]
-        return total
+        return -drag.load.mass * (self.model.mass @ self.block_motions(v)[0])
 
     def stored(self) -> dict[str, float]:
         """Entries of the energy balance now [J]."""
@@ -262,9 +237,12 @@ class Readout:
         self.forces()
         contacts = system.contacts
         joint, friction, damping = (0.0, 0.0, 0.0) if contacts is None else present(contacts)
+        if system.particles is not None:
+            own = system.particles.present()
+            joint, friction, damping = joint + own[0], friction + own[1], damping + own[2]
         return {
             "kinetic": float(system.kinetic()),
-            "strain": float(sum(b.strain_energy(state.x) for b in model.batches)),
+            "strain": float(sum(b.strain_energy(state.q, state.x) for b in model.batches)),
             "joint": joint,
             "potential": float(sum(b.potential(model.gravity, state.x, state.q) for b in model.batches)),
             "friction": float(friction),
@@ -326,3 +304,17 @@ class Readout:
         from fdem.results.plot import plot
 
         return plot(self, path, scalars, warp, **options)
+
+
+def _vector(R: np.ndarray) -> np.ndarray:
+    """Rotation vector (3,) [rad] of a rotation matrix, its angle at most pi."""
+    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = np.linalg.norm(axis)
+    angle = np.arctan2(sine, np.trace(R) - 1.0)
+    if sine < 1e-9:
+        if angle < 1.0:
+            return 0.5 * axis
+        half = 0.5 * (R + np.eye(3))
+        column = half[:, int(np.argmax(np.diag(half)))]
+        return np.pi * column / np.linalg.norm(column)
+    return angle / sine * axis

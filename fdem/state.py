@@ -13,15 +13,16 @@ __all__ = ["State"]
 class State:
     """Configuration, velocity, forces and positions.
 
-    Zoned gridpoints come last in `q` and `f` and first in `x` and `f_gp`, in one buffer each:
-    placing zoned blocks and pulling their gridpoint forces costs nothing.
+    Gridpoints that are unknowns (of zoned blocks) come last in `q` and `f` and first in `x` and `f_gp`, in one buffer
+    each: placing them and pulling their forces costs nothing.
 
     Attributes
     ----------
     q : (n_q,) array
-        Configuration: rigid 7 (centroid [m], quaternion), zoned 3 per gridpoint [m].
+        Configuration: rigid 7 (centroid [m], quaternion), uniform strain 12 (centre [m], deformation gradient),
+        zoned 3 per gridpoint [m].
     v : (n_dofs,) array
-        Velocity [m/s, rad/s]; half a step behind `q` in explicit runs.
+        Velocity [m/s, rad/s, 1/s]; half a step behind `q` in explicit runs.
     f : (n_dofs,) array
         Generalised forces [N, N m].
     x, x_old : (n_gp, 3) array
@@ -44,19 +45,27 @@ class State:
     step: int = 0
 
     @classmethod
-    def make(cls, X: np.ndarray, n_rigid: int, n_zoned_gp: int) -> State:
-        """State of a model at rest: zoned gridpoints at `X`, rigid part of `q` still empty."""
-        shared, n_gp = 3 * n_zoned_gp, len(X)
-        n_q, n_dofs = 7 * n_rigid + shared, 6 * n_rigid + shared
-        positions = np.zeros(n_q - shared + 3 * n_gp)
-        forces = np.zeros(n_dofs - shared + 3 * n_gp)
-        x = positions[n_q - shared :].reshape(-1, 3)
+    def make(cls, X: np.ndarray, n_q: int, n_dofs: int, n_in_place: int) -> State:
+        """State of a model at rest.
+
+        Parameters
+        ----------
+        X : (n_gp, 3) array
+            Positions [m]; the first `n_in_place` are unknowns.
+        n_q, n_dofs : int
+            Coordinates and unknowns of all other blocks; these coordinates are still empty.
+        n_in_place : int
+            Gridpoints that are unknowns.
+        """
+        shared, n_gp = 3 * n_in_place, len(X)
+        positions, forces = np.zeros(n_q + 3 * n_gp), np.zeros(n_dofs + 3 * n_gp)
+        x = positions[n_q:].reshape(-1, 3)
         x[:] = X
         return cls(
-            q=positions[:n_q],
-            v=np.zeros(n_dofs),
-            f=forces[:n_dofs],
+            q=positions[: n_q + shared],
+            v=np.zeros(n_dofs + shared),
+            f=forces[: n_dofs + shared],
             x=x,
             x_old=x.copy(),
-            f_gp=forces[n_dofs - shared :].reshape(-1, 3),
+            f_gp=forces[n_dofs:].reshape(-1, 3),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,12 +44,26 @@ class BlockView:
     def _per_block(self, function: Any) -> np.ndarray:
         return self._stack([function(row) for row in self._rows])
 
-    def _only(self, what: str, zoned: bool) -> None:
+    def _only(self, what: str, has: Callable[[int], bool]) -> None:
         model = self._sim.model
         for row in self._rows:
-            if bool(model.zoned[row]) != zoned:
-                kind = "zoned" if model.zoned[row] else "rigid or fixed"
+            if not has(row):
+                batch = model.batch_of(row)
+                kind = "fixed" if batch is None else batch.label
                 raise UnsupportedError(f"block {model.names[row]!r} is {kind} and has no {what}")
+
+    def _oriented(self, row: int) -> bool:
+        batch = self._sim.model.batch_of(row)
+        return batch is None or getattr(batch, "oriented", True)
+
+    def _zoned(self, what: str) -> None:
+        self._only(what, lambda row: bool(self._sim.model.zoned[row]))
+
+    def _strained(self, what: str) -> None:
+        self._only(what, lambda row: getattr(self._sim.model.batch_of(row), "has_strain", False))
+
+    def _moving(self, what: str) -> None:
+        self._only(what, lambda row: self._sim.model.batch_of(row) is not None)
 
     @property
     def mass(self) -> Any:
@@ -69,48 +84,50 @@ class BlockView:
     @property
     def velocity(self) -> np.ndarray:
         """Velocity of the centroid (3,) [m/s]; zoned blocks: momentum over mass."""
-        return self._per_block(lambda row: self._sim.block_motion(self._sim.velocity, row)[0])
+        return self._stack(self._sim.block_motions(self._sim.velocity)[0][self._rows])
 
     @property
     def acceleration(self) -> np.ndarray:
         """Acceleration of the centroid (3,) [m/s^2]."""
-        return self._per_block(lambda row: self._sim.block_motion(self._sim.acceleration, row)[0])
+        return self._stack(self._sim.block_motions(self._sim.acceleration)[0][self._rows])
 
     @property
     def angular_velocity(self) -> np.ndarray:
         """Angular velocity (3,) [rad/s], global axes; zoned blocks: of the mean rotation."""
-        return self._per_block(lambda row: self._sim.block_motion(self._sim.velocity, row)[1])
+        return self._stack(self._sim.block_motions(self._sim.velocity)[1][self._rows])
 
     @property
     def angular_momentum(self) -> np.ndarray:
         """Angular momentum about the centroid (3,) [kg m^2/s]."""
-        return self._per_block(self._sim.angular_momentum)
+        return self._stack(self._sim.angular_momenta()[self._rows])
 
     @property
     def inertia(self) -> np.ndarray:
         """Moments of inertia (3, 3) about the centroid now [kg m^2]."""
-        return self._per_block(self._sim.inertia)
+        self._moving("inertia")
+        return self._stack(self._sim.inertias()[self._rows])
 
     @property
     def rotation(self) -> np.ndarray:
-        """Rotation matrix (3, 3) from the start; zoned blocks: of the mean deformation."""
-        return self._per_block(self._sim.rotation)
+        """Rotation matrix (3, 3) from the start; zoned blocks: of the mean deformation; spheres have none."""
+        self._only("orientation (Rigid(orientation=True) keeps it)", self._oriented)
+        return self._stack(self._sim.rotations()[self._rows])
 
     @property
     def rotation_vector(self) -> np.ndarray:
         """Accumulated rotation vector (3,) [rad]: the integral of the angular velocity."""
-        return self._per_block(self._sim.rotation_vector)
+        return self._stack(self._sim.rotation_vectors()[self._rows])
 
     @property
     def stress(self) -> np.ndarray:
         """Volume mean of the Cauchy stress (6,) [Pa], xx yy zz yz zx xy."""
-        self._only("stress", zoned=True)
+        self._strained("stress")
         return self._stack(self._sim.block_stress()[self._rows])
 
     @property
     def strain(self) -> np.ndarray:
         """Volume mean of the strain (6,) [-], engineering shear."""
-        self._only("strain", zoned=True)
+        self._strained("strain")
         return self._stack(self._sim.block_strain()[self._rows])
 
     @property
@@ -124,7 +141,7 @@ class BlockView:
     @property
     def gridpoints(self) -> np.ndarray:
         """Positions (n, 3) of the gridpoints [m]."""
-        return self._gridpoints(self._sim.state.x + self._sim.model.origin)
+        return self._gridpoints(self._sim.positions())
 
     @property
     def gridpoint_displacement(self) -> np.ndarray:
@@ -134,7 +151,7 @@ class BlockView:
     @property
     def gridpoint_mass(self) -> np.ndarray:
         """Masses (n,) of the gridpoints [kg]."""
-        self._only("gridpoint_mass", zoned=True)
+        self._zoned("gridpoint_mass")
         return self._gridpoints(self._sim.model.gp_mass)
 
     def _zone_rows(self) -> np.ndarray:
@@ -144,7 +161,7 @@ class BlockView:
     @property
     def zones(self) -> np.ndarray:
         """Zones (m, 4): rows of `gridpoints`."""
-        self._only("zones", zoned=True)
+        self._zoned("zones")
         model, parts, first = self._sim.model, [], 0
         for row in self._rows:
             start, stop = model.gp_range[row]
@@ -155,65 +172,58 @@ class BlockView:
     @property
     def zone_stress(self) -> np.ndarray:
         """Cauchy stress (m, 6) of the zones [Pa]."""
-        self._only("zone_stress", zoned=True)
+        self._zoned("zone_stress")
         return _readonly(self._sim.zone_stresses()[self._zone_rows()])
 
     @property
     def zone_strain(self) -> np.ndarray:
         """Strain (m, 6) of the zones [-]."""
-        self._only("zone_strain", zoned=True)
+        self._zoned("zone_strain")
         return _readonly(self._sim.model.deformable.zone_strain(self._sim.state.x)[self._zone_rows()])
 
     @property
     def zone_rotation(self) -> np.ndarray:
         """Rotation vectors (m, 3) of the zones [rad]."""
-        self._only("zone_rotation", zoned=True)
+        self._zoned("zone_rotation")
         return _readonly(self._sim.model.deformable.zone_rotation(self._sim.state.x)[self._zone_rows()])
 
-    def _dofs(self, row: int) -> np.ndarray:
+    def _batch(self, row: int, what: str) -> tuple[Any, int]:
+        """Formulation of a block and its row there."""
         model = self._sim.model
-        if model.batch_row[row] < 0:
-            raise UnsupportedError(f"block {model.names[row]!r} is fixed: it has no unknowns")
-        if model.zoned[row]:
-            start, stop = model.gp_range[row]
-            return model.deformable.dofs.start + np.arange(3 * start, 3 * stop)
-        return 6 * model.batch_row[row] + np.arange(6)
+        self._moving(what)
+        return model.batch_of(row), int(model.batch_row[row])
 
     @property
     def generalised_displacement(self) -> np.ndarray:
-        """The theory's u: rigid (6,) translation [m] and accumulated rotation [rad], zoned (3 n,) [m]."""
+        """The theory's u: translation [m] and accumulated rotation [rad] (6,), and strain (12,); zoned (3 n,) [m]."""
+        sim, moved = self._sim, self._sim.centroids() - self._sim.centroids0
+        gridpoints, turned = sim.displacements(), sim.rotation_vectors()
 
         def one(row: int) -> np.ndarray:
-            if self._sim.model.zoned[row]:
-                return self._sim.displacements()[slice(*self._sim.model.gp_range[row])].ravel()
-            self._dofs(row)
-            moved = (self._sim.centroids() - self._sim.centroids0)[row]
-            return np.concatenate([moved, self._sim.rotation_vector(row)])
+            batch, place = self._batch(row, "unknowns")
+            return np.asarray(batch.generalised_displacement(place, sim.state.q, gridpoints, moved[row], turned[row]))
 
         return self._per_block(one)
 
     @property
     def generalised_force(self) -> np.ndarray:
-        """The theory's f: rigid (6,) force [N] and moment [N m], zoned (3 n,) [N]."""
-        return self._per_block(lambda row: self._sim.forces()[self._dofs(row)])
+        """The theory's f: force [N] and moment [N m] (6,), with what drives the strain [J] (12,); zoned (3 n,) [N]."""
+        return self._per_block(lambda row: self._in_theory(row, self._sim.forces()))
+
+    def _in_theory(self, row: int, f: np.ndarray) -> np.ndarray:
+        batch, place = self._batch(row, "unknowns")
+        own, theory = f[batch.dofs_of(place)], batch.theory(place, self._sim.state.q)
+        return np.array(own if theory is None else theory.T @ own)
 
     @property
     def generalised_mass(self) -> np.ndarray:
-        """The theory's M: rigid (6, 6), zoned (3 n, 3 n)."""
+        """The theory's M: (6, 6), with uniform strain (12, 12), zoned (3 n, 3 n)."""
 
         def one(row: int) -> np.ndarray:
-            model = self._sim.model
-            self._dofs(row)
-            if not model.zoned[row]:
-                return np.asarray(model.rigid.generalised_mass(self._sim.state.q)[model.batch_row[row]])
-            start, stop = model.gp_range[row]
-            unit = np.zeros((len(model.deformable.gp_mass), 3))
-            columns = np.empty((stop - start, stop - start))
-            for k in range(start, stop):
-                unit[k, 0] = 1.0
-                columns[:, k - start] = model.deformable.multiply_mass(unit)[start:stop, 0]
-                unit[k, 0] = 0.0
-            return np.kron(columns, np.eye(3))
+            batch, place = self._batch(row, "unknowns")
+            q = self._sim.state.q
+            mass, theory = batch.mass_of(place, q), batch.theory(place, q)
+            return np.asarray(mass if theory is None else theory.T @ mass @ theory)
 
         return self._per_block(one)
 
@@ -222,12 +232,12 @@ class BlockView:
         """M a - f of the free unknowns, with `acceleration` as the integrator takes it [N, N m]."""
 
         def one(row: int) -> np.ndarray:
-            dofs = self._dofs(row)
-            mass, force = BlockView(self._sim, [row], True).generalised_mass, self._sim.forces()[dofs]
-            left = np.zeros(len(self._sim.state.v))
-            left[dofs] = mass @ self._sim.acceleration[dofs] - force
-            self._sim.system.constraints.release(left)
-            return left[dofs]
+            batch, place = self._batch(row, "unknowns")
+            dofs, sim = batch.dofs_of(place), self._sim
+            left = np.zeros(len(sim.state.v))
+            left[dofs] = batch.mass_of(place, sim.state.q) @ sim.acceleration[dofs] - sim.forces()[dofs]
+            sim.system.constraints.release(left)
+            return self._in_theory(row, left)
 
         return self._per_block(one)
 
@@ -241,7 +251,7 @@ class GridpointView:
     @property
     def position(self) -> np.ndarray:
         """Position (3,) [m]."""
-        return _readonly(self._sim.state.x[self.gridpoint] + self._sim.model.origin)
+        return _readonly(self._sim.positions()[self.gridpoint])
 
     @property
     def displacement(self) -> np.ndarray:

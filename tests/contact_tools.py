@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fdem.blocks.rigid import RigidBlocks
 from fdem.contact.contacts import Contacts, LawTable
 from fdem.contact.surface import BlockSurface
 
@@ -85,6 +86,16 @@ def bonded(kn=1e9, ks=5e8, tan=0.0, shear=np.inf, tension=np.inf):
     return LawTable("bonded", [[kn, ks, tan, shear, tension]])
 
 
+def table(*joints):
+    """One table of joint laws of one kind, as compile makes it; kn and ks must be given."""
+    law, kind = joints[0], type(joints[0])
+    rows = [joint.properties(joint.kn, joint.ks) for joint in joints]
+    if isinstance(law.sweep, str):
+        return LawTable(law.sweep, rows)
+    reach = np.array([joint.reach for joint in joints])
+    return LawTable(law.sweep, rows, tuple(law.memory), frozenset(law.needs), kind.closure, reach)
+
+
 class World:
     """Rigid polyhedra, their contacts, and resultants on them."""
 
@@ -95,7 +106,7 @@ class World:
         self.start = start
         self.x = np.ascontiguousarray(np.concatenate([s[0] for s in shapes]).astype(float))
         self.x_old = self.x.copy()
-        blocks, mass = [], np.zeros(len(self.x))
+        blocks, mass, density = [], np.zeros(len(self.x)), np.broadcast_to(density, len(shapes))
         self.volume, self.centroid = [], []
         for i, (p, f) in enumerate(shapes):
             edges = {(a, b) for q in f for a, b in zip(q, [*q[1:], q[0]], strict=True)}
@@ -108,8 +119,8 @@ class World:
                 behind = np.array(far, np.int32) + start[i]
             gp = (int(start[i]), int(start[i + 1]))
             tags = np.full(len(f), -1)
-            blocks.append(BlockSurface(loops, tags, affine[i], gp, bool(self.fixed[i]), v, density * v, behind))
-            mass[start[i] : start[i + 1]] = density * v
+            blocks.append(BlockSurface(loops, tags, affine[i], gp, bool(self.fixed[i]), v, density[i] * v, behind))
+            mass[start[i] : start[i + 1]] = density[i] * v
             self.volume.append(v)
         options.setdefault("gap_tolerance", 0.0)
         options.setdefault("prune", 0.0)
@@ -139,65 +150,57 @@ class World:
 
 
 class Flight:
-    """Free rigid motion of the blocks of a World: leapfrog in translation, midpoint rotation at fixed momentum."""
+    """Free rigid motion of the blocks of a World by the leapfrog of `RigidBlocks`: between forces the momenta stay."""
 
     def __init__(self, world, velocity, spin, density=2500.0):
         self.w, n = world, len(velocity)
-        self.v, self.p = np.array(velocity, float), []
-        self.c, self.local, self.r, self.m, self.inertia = [], [], [np.eye(3) for _ in range(n)], [], []
-        for i in range(n):
-            points = world.x[world.start[i] : world.start[i + 1]].copy()
-            loops = world.faces[i]
-            vol, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
-            for f in loops:
-                for k in range(1, len(f) - 1):
-                    a, b, c = points[f[0]], points[f[k]], points[f[k + 1]]
-                    v = a @ np.cross(b, c) / 6
-                    vol += v
-                    first += v * (a + b + c) / 4
-                    s = a + b + c
-                    second += v * (np.outer(a, a) + np.outer(b, b) + np.outer(c, c) + np.outer(s, s)) / 20
-            centre = first / vol
-            second -= vol * np.outer(centre, centre)
-            self.c.append(centre)
-            self.local.append(points - centre)
-            self.m.append(density * vol)
-            self.inertia.append(density * (np.trace(second) * np.eye(3) - second))
-        self.h = [self.inertia[i] @ np.asarray(spin[i], float) for i in range(n)]
-
-    def omega(self, i, r=None):
-        r = self.r[i] if r is None else r
-        return r @ np.linalg.solve(self.inertia[i], r.T @ self.h[i])
+        whole = [_moments(world.x[a:b], f) for a, b, f in zip(world.start, world.start[1:], world.faces, strict=False)]
+        density = np.broadcast_to(density, n)
+        self.m = [density[i] * volume for i, (volume, _, _) in enumerate(whole)]
+        inertia = [density[i] * (np.trace(second) * np.eye(3) - second) for i, (_, _, second) in enumerate(whole)]
+        slices = slice(0, 6 * n), slice(0, 7 * n), slice(0, len(world.x))
+        centres = np.array([centre for _, centre, _ in whole])
+        self.batch = RigidBlocks(world.x, world.start, np.array(self.m), np.array(inertia), centres, *slices)
+        self.q, self.a, self.f = np.zeros(7 * n), np.zeros(6 * n), np.zeros(6 * n)
+        self.batch.start(self.q)
+        self.v = np.hstack([np.array(velocity, float), np.array(spin, float)]).ravel()
 
     def kinetic(self):
-        return sum(
-            0.5 * self.m[i] * self.v[i] @ self.v[i] + 0.5 * self.h[i] @ self.omega(i) for i in range(len(self.m))
-        )
+        return self.batch.kinetic(self.q, self.v)
 
     def momentum(self):
-        p = sum(m * v for m, v in zip(self.m, self.v, strict=True))
-        return p, sum(np.cross(c, m * v) + h for c, m, v, h in zip(self.c, self.m, self.v, self.h, strict=True))
+        """Linear and angular momentum of all blocks together."""
+        v, c = self.v.reshape(-1, 6)[:, :3], self.q.reshape(-1, 7)[:, :3]
+        p = np.array(self.m)[:, None] * v
+        return p.sum(0), (np.cross(c, p) + self.batch.angular_momentum(self.q, self.v)).sum(0)
 
     def step(self, dt, update=True):
+        """One step; True while contacts push."""
         w = self.w
-        f = w.forces(dt)
-        for i in range(len(self.m)):
-            sl = slice(w.start[i], w.start[i + 1])
-            self.v[i] += dt / self.m[i] * f[sl].sum(0)
-            self.h[i] = self.h[i] + dt * np.cross(w.x[sl] - self.c[i], f[sl]).sum(0)
+        f_gp = w.forces(dt)
+        touching = bool(w.contacts.n_patches) and bool(w.contacts._area.any())
+        self.f[:] = 0.0
+        self.batch.pull(self.q, f_gp, self.f)
+        self.batch.accelerate(self.q, self.f, self.a)
+        self.v += dt * self.a
         w.commit()
-        for i in range(len(self.m)):
-            self.c[i] = self.c[i] + dt * self.v[i]
-            half = self.r[i]
-            for _ in range(30):  # implicit midpoint
-                o = self.omega(i, half)
-                new = rotation(o, 0.5 * dt * np.linalg.norm(o)) @ self.r[i] if o.any() else self.r[i]
-                if np.abs(new - half).max() < 1e-16:
-                    break
-                half = new
-            o = self.omega(i, half)
-            if o.any():
-                self.r[i] = rotation(o, dt * np.linalg.norm(o)) @ self.r[i]
-            w.x[w.start[i] : w.start[i + 1]] = self.c[i] + self.local[i] @ self.r[i].T
+        self.batch.advance(self.q, self.v, dt)
+        self.batch.place(self.q, w.x)
         if update:
             w.contacts.update(w.x)
+        return touching
+
+
+def _moments(points, loops):
+    """Volume, centroid and central second moments of a polyhedron."""
+    origin = points.mean(axis=0)
+    volume, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
+    for f in loops:
+        for k in range(1, len(f) - 1):
+            a, b, c = points[[f[0], f[k], f[k + 1]]] - origin
+            v, s = a @ np.cross(b, c) / 6, a + b + c
+            volume += v
+            first += v * s / 4
+            second += v * (np.outer(a, a) + np.outer(b, b) + np.outer(c, c) + np.outer(s, s)) / 20
+    centre = first / volume
+    return volume, origin + centre, second - volume * np.outer(centre, centre)

@@ -25,7 +25,7 @@ KERNELS = sorted((PACKAGE / "kernels").glob("[!_]*.py"))
 
 BASE = {"errors", "log", "_jit"}
 NUMERIC = {"blocks", "contact", "model", "state", "constraints", "loads"}
-FRONT = {"readout", "stopping", "description", "views", "checkpoint"}
+FRONT = {"readout", "stopping", "description", "views", "checkpoint", "guard"}
 # part of the package -> parts it may import, besides itself; the arrows of the architecture
 ARROWS = {
     "errors": set(),
@@ -41,10 +41,11 @@ ARROWS = {
     "loads": BASE | {"model", "state"},
     "compile": BASE | NUMERIC | {"scene"},
     "integrate": BASE,
-    "integrate.system": BASE | NUMERIC,
+    "integrate.system": BASE | NUMERIC,  # and what belongs to it: what integrators see
     "results": BASE | {"model", "state"},
     "readout": BASE | {"model", "state", "contact", "integrate", "results", "description"},
     "stopping": BASE | {"model", "state"},
+    "guard": BASE | {"contact"},
     "description": BASE | {"model", "state", "contact"},
     "views": BASE | {"model", "state", "results"},
     "checkpoint": BASE | {"model", "state", "contact", "scene"},
@@ -62,13 +63,15 @@ LAZY = {
     "simulation": {"scipy", "pyvista", "numpy"},
 }
 FORBIDDEN = ("print", "exit", "quit", "sys.exit", "os._exit", "np.random.seed", "breakpoint")
+SYSTEM = {"system", "pace", "trial", "impulses", "matrices", "mobility"}
 HEAVY = ("numba", "scipy", "skfem", "gmsh", "meshio", "pyvista", "vtkmodules", "matplotlib", "h5py", "pyamg")
 
 
 def part(path):
     """First component of a module below fdem: a folder or a file."""
     relative = path.relative_to(PACKAGE).with_suffix("")
-    return ".".join(relative.parts) if relative.parts[:2] == ("integrate", "system") else relative.parts[0]
+    system = relative.parts[0] == "integrate" and relative.parts[-1] in SYSTEM
+    return "integrate.system" if system else relative.parts[0]
 
 
 def imports(path):

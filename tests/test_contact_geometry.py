@@ -74,6 +74,7 @@ def test_oracle_contact_energy(first_is_slave, prune, tolerance):
         slave, master = ((np.array(case[k]["points"]), case[k]["faces"]) for k in ("slave", "master"))
         w = World([slave, master], law=coulomb(kn=case["kn"]), prune=prune)
         w.forces()
+        w.commit()
         volume, first = 0.0, np.zeros(3)
         for loop in slave[1]:
             for k in range(1, len(loop) - 1):
@@ -84,6 +85,54 @@ def test_oracle_contact_energy(first_is_slave, prune, tolerance):
         size = np.linalg.norm(case["F"])
         np.testing.assert_allclose(f, case["F"], rtol=0, atol=tolerance * size, err_msg=case["name"])
         np.testing.assert_allclose(m, case["M"], rtol=0, atol=tolerance * size * np.cbrt(volume), err_msg=case["name"])
+        np.testing.assert_allclose(w.contacts.energy(), case["W"], rtol=tolerance, err_msg=case["name"])
+
+
+def upright(outline, length):
+    """Prism whose outline stands in the x-z plane, symmetric about y = 0."""
+    return move(prism(outline, length), np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), (0, 0.5 * length, 0))
+
+
+TIP = rotation([1, 0, 0], np.pi) @ CORNER
+OVERLAPS = {
+    "edges": (move(box(1, 3, 1), rotation([0.1, 0.2, 1], 0.7) @ EDGE), move(box(1, 3, 1), EDGE)),
+    "corner of the master": (box(2, 2, 1), move(box(1, 1, 1), TIP)),
+    "corners": (move(box(1, 1, 1), CORNER), move(box(1, 1, 1), TIP)),
+    "edge of the master": (box(1, 1, 1), move(box(1, 1, 1), rotation([0, 0, 1], 0.4) @ EDGE)),
+    "groove": (
+        box(0.5, 0.5, 0.5),
+        upright([[-2, -1], [2, -1], [2, 1], [0.3, 1], [0, 0.4], [-0.2, 1], [-2, 1]], 3.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OVERLAPS)
+def test_force_is_the_slope_of_the_energy(first_is_slave, case):
+    """W(u + h) - W(u - h) = -2 F.h and -2 M.h, also where edges and corners of the master are overlapped."""
+    slave, master = OVERLAPS[case]
+    start = move(slave, rotation([0.3, 1, 0.2], 0.05))[0]
+    start = start + np.array([0.02, 0.03, master[0][:, 2].max() - start[:, 2].min()])
+    w = World([(start, slave[1]), master], law=coulomb(kn=KN), clip_always=True)
+
+    def energy(u, turn):
+        w.x[: len(start)] = start @ turn.T + u
+        w.contacts.update(w.x)
+        w.forces()
+        w.commit()
+        return w.contacts.energy()
+
+    while not energy(np.zeros(3), np.eye(3)) > 0.0:
+        start[:, 2] -= 0.01
+    start[:, 2] -= 0.03
+    assert energy(np.zeros(3), np.eye(3)) > 0.0
+    force, moment = (v.copy() for v in w.resultant(0))
+    h, slopes, turns = 1e-5, [], []
+    for u in np.eye(3):
+        slopes.append((energy(-h * u, np.eye(3)) - energy(h * u, np.eye(3))) / (2 * h))
+        turns.append((energy(0 * u, rotation(u, -h)) - energy(0 * u, rotation(u, h))) / (2 * h))
+    # what is left of the difference quotient is of the order of (h / depth)^2
+    np.testing.assert_allclose(slopes, force, rtol=0, atol=1e-6 * np.linalg.norm(force))
+    np.testing.assert_allclose(turns, moment, rtol=0, atol=1e-6 * np.linalg.norm(force))
 
 
 def test_brick_has_six_faces_whatever_the_triangulation():
@@ -174,7 +223,7 @@ def test_cells_tile_the_layer_below_a_nonconvex_surface(first_is_slave, shape):
         d = [np.minimum.reduce([x - a, b - x, y - c, e - y, z, 0.5 - z]) for a, b, c, e in parts]
         return np.maximum(np.maximum.reduce(d), 0.0)
 
-    for _ in range(25):
+    for _ in range(40):
         c = np.array([g.uniform(-0.02, 1.2), g.uniform(-0.02, 1.0), g.uniform(-0.02, 0.52)])
         slave = move(box(0.1, 0.12, 0.08), rotation(g.normal(size=3), 3.0), c)
         try:
@@ -361,3 +410,24 @@ def test_rock_cut_by_joints_and_a_tunnel_has_no_false_contact(monkeypatch, seed,
     assert any(not shape.is_convex for shape in shapes)
     assert depth < 1e-9
     assert np.abs(missing).max() < 1e-9
+
+
+@pytest.mark.parametrize("zoned", [False, True])
+@pytest.mark.parametrize("shift", [0.0, 1e-9, -1e-9])
+def test_a_face_that_lies_in_a_wall_belongs_to_one_cell(first_is_slave, zoned, shift):
+    """Half an edge's overlap: the slave's face cuts through the master's edge along the bisector. F = kn V along z."""
+    h, length = 0.03, 1.0
+    corner = np.array([1, 0, 1]) - h * np.array([1, 0, 1]) / np.sqrt(2) + shift * np.array([1, 0, -1])
+    slave = move(box(1, length, 1), EDGE, corner - EDGE @ [0.5, 0, -0.5])
+    master = triangulated(box(2, 2, 2)) if zoned else box(2, 2, 2)
+    _, f, _ = resultant(slave, master, affine=[True, not zoned])
+    np.testing.assert_allclose(f, [0, 0, KN * length * h**2 / 2], rtol=0, atol=1e-6 * KN * h**2)
+
+
+def test_a_side_above_a_mesh_line_pushes(first_is_slave):
+    """A vertical side right over a line between two triangles of the floor: its strip balances the one opposite."""
+    floor = grid_box(8, 2, size=(0.4, 0.4, 0.3))
+    for at in (0.15, 0.1500001):
+        block = move(box(0.1, 0.1, 0.1), t=(at, 0.21, 0.35 - 1e-3))
+        _, f, _ = resultant(block, floor, affine=[True, False])
+        np.testing.assert_allclose(f, [0, 0, KN * 1e-3 * 0.01], rtol=0, atol=1e-9 * KN * 1e-5)

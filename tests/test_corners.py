@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from contact_tools import Flight, World, box, coulomb, move, rotation
 
+import fdem
 from fdem.contact.contacts import LawTable
 
 KN, SIZE = 1e9, 0.1  # Pa/m, least size of a contact [m]
@@ -114,3 +115,37 @@ def test_impacts_keep_their_energy(seed):
         energy, momentum = impact(seed, share)
         assert energy < bound
         assert momentum < 1e-11
+
+
+def test_a_joint_law_takes_the_size_of_corners():
+    """A 25 kN cube on its corner sinks (W / (kn sqrt(3)/2))^(1/3) = 14 mm; with stiff corners of 10 cm a millimetre."""
+    sunk = {}
+    for corner in (0.0, 0.1):
+        scene = fdem.Scene()
+        scene.add(fdem.brick((-2, -2, -1), (2, 2, 0)), fdem.Rigid(), fixed=True, name="floor")
+        turn = np.eye(4)
+        turn[:3, :3] = TILTS["corner"]
+        shape = fdem.brick((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)).transform(turn)
+        turn = np.eye(4)
+        turn[2, 3] = -np.asarray(shape.bounds)[0, 2]
+        cube = scene.add(shape.transform(turn), fdem.Rigid(), fdem.Elastic(2500.0), name="cube")
+        scene.fix(cube, component=("x", "y", "rotation"))
+        scene.joint(fdem.Coulomb(kn=1e10, ks=5e9, friction=30, corner=corner))
+        sim = fdem.Simulation(scene, fdem.Relaxation())
+        assert sim.solve(ratio=1e-6).converged
+        sunk[corner] = -sim[cube].displacement[2]
+    assert sunk[0.0] == pytest.approx((2500 * 9.81 / (1e10 * np.sqrt(0.75))) ** (1 / 3), rel=1e-3)
+    assert sunk[0.1] == pytest.approx(4 * 2500 * 9.81 / (1e10 * 0.1**2), rel=0.05)  # F = kn A_c h / 4, less kn V
+
+
+def test_a_chosen_stiffness_that_is_too_low_is_reported():
+    scene = fdem.Scene()
+    scene.add(fdem.brick((-2, -2, -1), (2, 2, 0)), fdem.Rigid(), fixed=True, name="floor")
+    cube = scene.add(fdem.brick((0, 0, 0), (1, 1, 1)), fdem.Rigid(), fdem.Elastic(2500.0), name="cube")
+    scene.joint(fdem.Coulomb(friction=30))
+    with pytest.warns(fdem.FdemWarning, match="was chosen"):
+        sim = fdem.Simulation(scene, fdem.Relaxation())
+        sim.apply(fdem.Force((0, 0, -6e6)), cube)
+    with pytest.warns(fdem.FdemWarning, match="'floor' and 'cube' overlap by .* of their size"):
+        sim.solve(ratio=1e-4)
+    assert "closure: at most" in sim.describe()

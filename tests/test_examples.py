@@ -7,13 +7,15 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-CROSSVAULT = Path(__file__).parent.parent.parent / "shared" / "data" / "crossvault" / "blocks.obj"
+DATA = Path(__file__).parent.parent.parent / "shared" / "data"
+CROSSVAULT = DATA / "crossvault" / "blocks.obj"
 
 # number the example returns, its bound and why
 CASES = {
     "incline": (1e-3, ["incline.png"]),  # the oracle's 0.1 % for sliding with soft contact
     "arch": (1e-4, ["arch_rigid.png", "arch_zoned.png"]),  # ratio 1e-6 of the largest force, 23 blocks added up
     "impact": (1e-3, ["impact.png", "impact_history.png"]),  # API.md, scene 3
+    "user_law": (1e-3, ["user_law.png"]),  # its kernel takes the strength from the slip of the step before
     "imported": (1e-5, ["imported_meshes_vault.png"]),  # support reaction, issue of part 2
 }
 
@@ -39,3 +41,9 @@ def test_example(name, tmp_path):
 def test_imported_real_vault(tmp_path):
     # 184 blocks, most of them not convex, coordinates rounded to 3 decimals
     assert run("imported", CROSSVAULT, 1.0, tmp_path) < 1e-4
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")
+def test_published_vault(tmp_path):
+    assert run("vault_forces", DATA / "barrel_vault", tmp_path) < 1e-5
+    assert (tmp_path / "vault_forces.png").stat().st_size > 10_000

@@ -39,6 +39,7 @@ def make_view(blocks: int = 3, scale: float = 1.0) -> SimpleNamespace:
         triangles=np.concatenate([TRIANGLES + 8 * i for i in range(blocks)]).astype(np.int32),
         triangle_block=np.repeat(ids, 12), triangle_tag=np.tile([0, 0, -1, -1, 1, 1], 2 * blocks).astype(np.int32),
         tags=["bed", "cross"], zoned=zoned, fixed=~zoned, origin=np.zeros(3),
+        balls=np.zeros(0, dtype=np.int32), ball_radius=np.zeros(0),
     )  # fmt: skip
     u = np.where(X[:, 2:] > 0, 1e-3 * scale, 0.0) * [1.0, 0.0, 2.0]
     normal = np.array([[1.0, 0, 0], [0, 0, -1], [0, 0, -1]])
@@ -48,12 +49,15 @@ def make_view(blocks: int = 3, scale: float = 1.0) -> SimpleNamespace:
         area=scale**2 * np.ones(3), traction=np.array([[0.0, 0, 0], [1e5, 2e4, 0], [2e5, 0, 1e4]]),
         force=-normal * 1e5, slip=scale * np.array([0.0, 1e-3, 2e-3]), state=np.array([3, 2, 1], np.int8),
         position=scale * np.array([[1, 0.5, 0.5], [0.5, 0.5, 0], [1.5, 0.5, 0]]),
+        patch=np.arange(3, dtype=np.int32),
     )  # fmt: skip
     stress = np.tile([1.0, 2, 3, 4, 5, 6], (len(model.zones), 1)) * 1e5
     inner = np.full((blocks, 6), np.nan)
     return SimpleNamespace(
         model=model, time=0.5, steps=10, positions=lambda: X + u, displacements=lambda: u, velocities=lambda: 10 * u,
         zone_stresses=lambda: stress, block_stress=lambda: inner, contact_table=lambda: table,
+        gridpoint_stress=lambda: inner[model.gp_block],
+        surface_stress=lambda rows: inner[model.triangle_block[rows]],
     )  # fmt: skip
 
 

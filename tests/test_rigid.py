@@ -193,7 +193,7 @@ def test_weight_and_potential_agree():
     assert blocks.potential(g, np.zeros((0, 3)), q) == pytest.approx(
         -np.sum(f[3:].reshape(-1, 6)[:, :3] * q[2:].reshape(-1, 7)[:, :3])
     )
-    assert blocks.strain_energy(np.zeros((0, 3))) == 0.0
+    assert blocks.strain_energy(q, np.zeros((0, 3))) == 0.0
 
 
 def test_advance_agrees_with_push_to_second_order():

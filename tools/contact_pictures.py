@@ -1,7 +1,4 @@
-"""Pictures of docs/contact.md: run by `make docs`.
-
-    python tools/contact_pictures.py [folder]
-"""
+"""Pictures of docs/contact.md: run by `make docs`, or ``python tools/contact_pictures.py [folder]``."""
 
 from __future__ import annotations
 

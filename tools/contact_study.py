@@ -108,6 +108,7 @@ def cutting(seeds: range = range(6)) -> None:
 
 def roles() -> None:
     """Stiffness of a corner by who is the slave."""
+
     def forced(first: int) -> Any:
         return lambda s, p: (p[:, first].copy(), p[:, 1 - first].copy())
 
@@ -183,7 +184,9 @@ def main(folder: Path) -> None:
     warnings.simplefilter("ignore", fdem.FdemWarning)
     print("\n| prune | cut | median energy error | largest | rows of a resting cube |\n|---|---|---|---|---|")
     pruning()
-    print("\n| travel | energy error | cuts per impact | N noise | friction / mu N | cuts in 1500 steps |\n|---|---|---|---|---|---|")
+    print(
+        "\n| travel | energy error | cuts per impact | N noise | friction / mu N | cuts, sliding |\n" + 6 * "|---" + "|"
+    )
     cutting()
     print("\n| slave has | as slave | as master | ratio |\n|---|---|---|---|")
     roles()

@@ -29,6 +29,8 @@ class Springs:
         Block of every gridpoint.
     mobile : (n_blocks,) bool array
         Which blocks can move.
+    particles : ParticleSprings or None
+        Contacts of spheres; what they do to faces is in `bedding`.
     """
 
     x: np.ndarray
@@ -36,6 +38,7 @@ class Springs:
     contacts: Any
     gp_block: np.ndarray
     mobile: np.ndarray
+    particles: Any = None
 
     @cached_property
     def k_gp(self) -> np.ndarray:

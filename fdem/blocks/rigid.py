@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from fdem.blocks import entries
 from fdem.blocks.bounds import Springs, joint_stiffness, share
+from fdem.blocks.masses import principal_axes
 from fdem.errors import SceneError
 from fdem.kernels import blocks as kernels
 
@@ -14,7 +16,7 @@ __all__ = ["RigidBlocks"]
 Array = npt.NDArray[np.float64]
 
 
-class RigidBlocks:
+class RigidBlocks(entries.Stiff):
     """All rigid blocks of a model, one batch of the `Blocks` protocol.
 
     The configuration of a block is its centroid and the unit quaternion (w, x, y, z) of its rotation *since the start*;
@@ -37,8 +39,10 @@ class RigidBlocks:
 
     Attributes
     ----------
-    has_internal, in_place : bool
-        False: rigid blocks have no internal forces, and their unknowns are not positions of gridpoints.
+    has_internal, in_place, turns, has_strain : bool
+        See `Blocks`: rigid blocks have no internal forces, and their unknowns are not positions of gridpoints.
+    centre0 : (n_blocks, 3) array
+        Centroids at the start [m].
     rows, size, free : (n_blocks,) arrays
         Row in the model, size [m] and whether a block can move; set by compile.
 
@@ -48,8 +52,12 @@ class RigidBlocks:
         If a mass or a principal moment of inertia is not positive and finite.
     """
 
+    label = "rigid"
     has_internal = False
     in_place = False
+    turns = True
+    coupled = False
+    has_strain = False
 
     def __init__(
         self,
@@ -65,13 +73,13 @@ class RigidBlocks:
         self.dofs, self.coords, self.gridpoints = dofs, coords, gridpoints
         self.n_blocks = len(mass)
         self.mass = np.ascontiguousarray(mass, dtype=np.float64)
-        self.moments, self.axes = _principal_axes(np.asarray(inertia, dtype=np.float64))
+        self.moments, self.axes = principal_axes(np.asarray(inertia, dtype=np.float64))
         for name, positive in (("mass", self.mass), ("inertia", self.moments.min(axis=1, initial=np.inf))):
             bad = np.flatnonzero(~(np.isfinite(positive) & (positive > 0.0)))
             if len(bad):
                 raise SceneError(f"rigid block {bad[0]}: {name} is {positive[bad[0]]}, it must be positive and finite")
         self._X = np.array(X[gridpoints], dtype=np.float64, order="C")
-        self._C = np.array(centroid, dtype=np.float64, order="C")
+        self.centre0 = np.array(centroid, dtype=np.float64, order="C")
         self._start = np.ascontiguousarray(np.asarray(gp_start) - gridpoints.start, dtype=np.int32)
         self._unscaled = np.ones(self.n_blocks)
         self.rows = np.arange(self.n_blocks)
@@ -81,20 +89,45 @@ class RigidBlocks:
     def start(self, q: Array) -> None:
         """Write the configuration at the start into ``q``: reference centroids, no rotation."""
         own = self._q(q)
-        own[:, :3] = self._C
+        own[:, :3] = self.centre0
         own[:, 3:] = (1.0, 0.0, 0.0, 0.0)
+
+    def launch(self, q: Array, x: Array, v: Array, velocity: Array, spin: Array) -> None:
+        """Write velocities of the centroids and angular velocities (n_blocks, 3) into ``v`` [m/s, rad/s]."""
+        own = self._v(v)
+        own[:, :3], own[:, 3:] = velocity, spin
 
     def place(self, q: Array, x: Array) -> None:
         """Write the positions ``X + (c - C) + (R - 1)(X - C)`` of the batch's gridpoints into ``x`` [m]."""
-        kernels.rigid_place(self._q(q), self._X, self._C, self._start, x[self.gridpoints])
+        kernels.rigid_place(self._q(q), self._X, self.centre0, self._start, x[self.gridpoints])
+
+    def show(self, q: Array, x: Array) -> None:
+        """Nothing: gridpoints are material points."""
+
+    def fit(self, row: int, q: Array, x: Array) -> None:
+        """Give one block the rotation and place nearest to the gridpoint positions `x` [m], and place these there."""
+        own = slice(*self._start[row : row + 2])
+        before, after = self._X[own], x[self.gridpoints][own]
+        first, last = before.mean(axis=0), after.mean(axis=0)
+        left, _, right = np.linalg.svd((after - last).T @ (before - first))
+        left[:, 2] *= np.sign(np.linalg.det(left @ right))
+        turn = left @ right
+        self._q(q)[row, :3] = last + turn @ (self.centre0[row] - first)
+        # the quaternion is the eigenvector of 4 q q^T - 1
+        outer = np.empty((4, 4))
+        outer[0, 0] = np.trace(turn)
+        outer[0, 1:] = outer[1:, 0] = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+        outer[1:, 1:] = turn + turn.T - np.trace(turn) * np.eye(3)
+        self._q(q)[row, 3:] = np.linalg.eigh(outer)[1][:, 3]
+        self.place(q, x)
 
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write the gridpoint velocities ``v + omega x r`` into ``xdot`` [m/s]."""
-        kernels.rigid_push(self._q(q), self._v(v), self._X, self._C, self._start, xdot[self.gridpoints])
+        kernels.rigid_push(self._q(q), self._v(v), self._X, self.centre0, self._start, xdot[self.gridpoints])
 
     def pull(self, q: Array, f_gp: Array, f: Array) -> None:
         """Add force and moment about the centroid to ``f`` [N, N m]; the transpose of `push`."""
-        kernels.rigid_pull(self._q(q), f_gp[self.gridpoints], self._X, self._C, self._start, self._v(f))
+        kernels.rigid_pull(self._q(q), f_gp[self.gridpoints], self._X, self.centre0, self._start, self._v(f))
 
     def weight(self, g: Array, f: Array) -> None:
         """Add ``m g`` to the forces ``f`` [N]; ``g`` is gravity [m/s^2]."""
@@ -117,7 +150,7 @@ class RigidBlocks:
         scale = self._unscaled if scaled is None else scaled
         kernels.rigid_accelerate(self._q(q), self._v(f), self.mass, self.moments, self.axes, scale, self._v(a))
 
-    def advance(self, q: Array, v: Array, dt: float) -> None:
+    def advance(self, q: Array, v: Array, dt: float, scaled: Array | None = None) -> None:
         """Move by ``dt`` [s] at fixed momentum, in place.
 
         Parameters
@@ -128,6 +161,8 @@ class RigidBlocks:
             In, out: velocities; the angular velocity changes so that ``I(R) omega`` does not [m/s, rad/s].
         dt : float
             Step [s].
+        scaled : array, optional
+            Fictitious masses; they make no difference.
 
         Notes
         -----
@@ -137,13 +172,20 @@ class RigidBlocks:
         """
         kernels.rigid_advance(self._q(q), self._v(v), dt, self.moments, self.axes)
 
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
+        """Write local damping into `out`: a share of the force against every unknown's velocity."""
+        out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
+
     def kinetic(self, q: Array, v: Array) -> float:
         """Kinetic energy ``(m v.v + omega.I omega) / 2`` of the batch [J]."""
         own = self._v(v)
         spin = np.einsum("nji,nj->ni", self._current_axes(q), own[:, 3:])
         return 0.5 * float(np.sum(self.mass[:, None] * own[:, :3] ** 2) + np.sum(self.moments * spin**2))
 
-    def strain_energy(self, x: Array) -> float:
+    def internal(self, q: Array, x: Array, f: Array) -> None:
+        """Nothing: rigid blocks have no internal forces."""
+
+    def strain_energy(self, q: Array, x: Array) -> float:
         """Strain energy [J]: zero."""
         return 0.0
 
@@ -215,12 +257,16 @@ class RigidBlocks:
 
     def _held_by(self, q: Array, springs: Springs) -> tuple[Array, Array | None]:
         """Gridpoint stiffness and (n_blocks, 6, 6) joint stiffness that bound the motion of each block."""
-        if springs.contacts is None:
+        if springs.contacts is None and springs.particles is None:
             return springs.k_gp, None
         place = np.full(len(springs.mobile), -1)
         place[self.rows] = np.arange(self.n_blocks)
         centre = self._q(q)[:, :3]
+        if springs.contacts is None:
+            return springs.bedding, springs.particles.on_blocks(place, centre)
         joints = joint_stiffness(springs.rows, springs.x, springs.gp_block, springs.mobile, place, centre)
+        if springs.particles is not None:
+            joints += springs.particles.on_blocks(place, centre)
         return springs.bedding, joints
 
     def step_bound(self, q: Array, springs: Springs) -> Array:
@@ -244,13 +290,20 @@ class RigidBlocks:
         six = self._v(v)
         return float(np.einsum("n,ni,nij,nj->", scaled, six, self.generalised_mass(q), six))
 
-    def unbalance(self, x: Array, unbalanced: Array, pushes: Array, gravity: float, scaled: Array | None) -> float:
+    def decay_bound(self, q: Array, c_gp: Array) -> float:
+        """Largest decay rate [1/s] that dashpots `c_gp` (n_gp,) [N s/m] on gridpoints give a block."""
+        # M^-1 P^T c P has the form of the stiffness
+        return float(self.frequency_bound(q, self._X, c_gp)[self.free].max(initial=0.0))
+
+    def unbalance(
+        self, q: Array, x: Array, unbalanced: Array, pushes: Array, gravity: float, scaled: Array | None
+    ) -> float:
         """Largest unbalanced force, or moment over the block size, over the largest force acting on a block.
 
         Parameters
         ----------
-        x : (n_gp, 3) array
-            Positions; not needed.
+        q, x : (n_q,), (n_gp, 3) array
+            Configuration and positions; not needed.
         unbalanced : (n_dofs,) array
             Generalised forces that nothing balances [N, N m].
         pushes : (n_gp,) array
@@ -267,7 +320,42 @@ class RigidBlocks:
         acting = np.maximum(np.add.reduceat(pushes[self.gridpoints], self._start[:-1]), self.mass * gravity)
         return share(float(left[self.free].max()), float(acting[self.free].max()))
 
-    def rotation(self, q: Array) -> Array:
+    def dofs_of(self, row: int) -> slice:
+        """Unknowns of one block."""
+        return slice(self.dofs.start + 6 * row, self.dofs.start + 6 * row + 6)
+
+    def coords_of(self, row: int) -> slice:
+        """Coordinates of one block in ``q``."""
+        return slice(self.coords.start + 7 * row, self.coords.start + 7 * row + 7)
+
+    def centres(self, q: Array, x: Array) -> Array:
+        """Centroids (n_blocks, 3) [m]."""
+        return self._q(q)[:, :3].copy()
+
+    def motion(self, q: Array, v: Array, x: Array) -> tuple[Array, Array]:
+        """Velocities of the centroids and angular velocities (n_blocks, 3)."""
+        own = self._v(v)
+        return own[:, :3].copy(), own[:, 3:].copy()
+
+    def turn(self, q: Array, v: Array, dt: float) -> Array:
+        """Rotation vectors (n_blocks, 3) [rad] of the step ``dt``."""
+        return dt * self._v(v)[:, 3:]
+
+    def inverted(self, q: Array, x: Array) -> None:
+        """None: a rigid block keeps its shape."""
+
+    def theory(self, row: int, q: Array) -> None:
+        """None: the unknowns are the theory's."""
+
+    def mass_of(self, row: int, q: Array) -> Array:
+        """Mass matrix (6, 6) of one block."""
+        return np.asarray(self.generalised_mass(q)[row])
+
+    def generalised_displacement(self, row: int, q: Array, displacement: Array, moved: Array, turned: Array) -> Array:
+        """The theory's u (6,): translation [m] and accumulated rotation [rad]."""
+        return np.concatenate([moved, turned])
+
+    def rotation(self, q: Array, x: Array | None = None) -> Array:
         """Rotation of every block since the start, (n_blocks, 3, 3) [-]."""
         w, x, y, z = self._q(q)[:, 3:].T
         s = 2.0 / (w * w + x * x + y * y + z * z)
@@ -287,13 +375,13 @@ class RigidBlocks:
         sign = np.where(quaternion[:, 0] < 0.0, -1.0, 1.0)
         return (2.0 * sign * ratio)[:, None] * quaternion[:, 1:]
 
-    def inertia(self, q: Array) -> Array:
+    def inertia(self, q: Array, x: Array | None = None) -> Array:
         """Inertia about the centroid in global axes now, (n_blocks, 3, 3) [kg m^2]."""
         axes = self._current_axes(q)
         inertia: Array = np.einsum("nij,nj,nkj->nik", axes, self.moments, axes)
         return inertia
 
-    def angular_momentum(self, q: Array, v: Array) -> Array:
+    def angular_momentum(self, q: Array, v: Array, x: Array | None = None) -> Array:
         """Angular momentum about the centroid, (n_blocks, 3) [kg m^2/s], global axes."""
         axes = self._current_axes(q)
         momentum: Array = np.einsum("nij,nj,nkj,nk->ni", axes, self.moments, axes, self._v(v)[:, 3:])
@@ -307,72 +395,37 @@ class RigidBlocks:
         matrix[:, 3:, 3:] = self.inertia(q)
         return matrix
 
-    # implicit steps
+    def mass_entries(self, q: Array) -> entries.Entries:
+        """Mass matrix at the configuration `q`."""
+        return entries.of_blocks(self.dofs.start + 6 * np.arange(self.n_blocks), self.generalised_mass(q))
+
+    def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
+        """``(dP^T/dq) f_gp``: moments about the centroid change as arms turn, ``sum [f]x [r]x`` by rotation.
+
+        Of gridpoint forces `f_gp` (n_gp, 3) [N] at the configuration `q`.
+        """
+        arm = self._turned(q)
+        force = f_gp[self.gridpoints]
+        # [f]x [r]x = r f^T - (f.r) 1
+        turned = arm[:, :, None] * force[:, None, :] - np.sum(arm * force, axis=1)[:, None, None] * np.eye(3)
+        return entries.of_blocks(self.dofs.start + 6 * np.arange(self.n_blocks) + 3, self._sum(turned))
+
+    def groups(self) -> npt.NDArray[np.int64]:
+        """Unknowns (n_blocks, 6) that belong together: those of every block."""
+        return self.dofs.start + np.arange(6 * self.n_blocks).reshape(-1, 6)
 
     def shift(self, q: Array, d: Array) -> None:
-        """``q <- q (+) d``: centroids by the translation, orientations by the rotation vector in `d` (n_dofs,)."""
-        own, step = self._q(q), self._v(d)
-        own[:, :3] += step[:, :3]
-        half = 0.5 * step[:, 3:]
-        angle = np.linalg.norm(half, axis=1)
-        sinc = np.sinc(angle / np.pi)[:, None]
-        w, u = np.cos(angle), sinc * half
-        w0, u0 = own[:, 3].copy(), own[:, 4:].copy()
-        own[:, 3] = w * w0 - np.einsum("ni,ni->n", u, u0)
-        own[:, 4:] = w[:, None] * u0 + w0[:, None] * u + np.cross(u, u0)
-        own[:, 3:] /= np.linalg.norm(own[:, 3:], axis=1)[:, None]
+        """Move `q` by the translations and rotation vectors in `d` (n_dofs,) [m, rad]."""
+        entries.turn(self._q(q), self._v(d))
 
     def gyroscopic(self, q: Array, v: Array, f: Array) -> None:
-        """Subtract ``omega x I omega`` from the moments [N m]."""
+        """Subtract ``omega x I omega`` from the moments `f` [N m]."""
         spin = self._v(v)[:, 3:]
         self._v(f)[:, 3:] -= np.cross(spin, np.einsum("nij,nj->ni", self.inertia(q), spin))
 
-    def dof_rows(self) -> npt.NDArray[np.int64]:
-        """Row in the model of the block of every unknown of this batch."""
-        return np.repeat(self.rows, 6)
-
-    def mass_diagonal(self, q: Array) -> Array:
-        """Diagonal of the mass matrix of this batch."""
-        return np.ascontiguousarray(np.diagonal(self.generalised_mass(q), axis1=1, axis2=2)).ravel()
-
-    def add_momentum(self, q: Array, v: Array, out: Array) -> None:
-        """``out += M v``."""
-        self._v(out)[:] += np.einsum("nij,nj->ni", self.generalised_mass(q), self._v(v))
-
-    def unknown_groups(self) -> list[npt.NDArray[np.int64]]:
-        """Unknowns that belong together: the six of every block."""
-        return [self.dofs.start + np.arange(6 * self.n_blocks).reshape(-1, 6)]
-
-    def mass_entries(self, q: Array) -> tuple[Array, Array, Array]:
-        """Rows, columns and values of the mass matrix."""
-        return _block_entries(self.unknown_groups()[0], self.generalised_mass(q))
-
-    def stiffness_entries(self, x: Array) -> tuple[Array, Array, Array]:
-        """Entries of the internal stiffness: none."""
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
-
-    def geometric_entries(self, q: Array, f_gp: Array) -> tuple[Array, Array, Array]:
-        """Entries of ``-(dP^T / dq) f_gp``: moments change when the arms of constant forces turn.
-
-        ``d(sum r x f) = sum (r f^T - (r.f) 1) d phi``; not symmetric in general.
-        """
-        arms = np.einsum("nij,nj->ni", np.repeat(self.rotation(q), np.diff(self._start), axis=0), self._arms())
-        f = f_gp[self.gridpoints]
-        outer = self._sum(arms[:, :, None] * f[:, None, :])
-        diagonal = np.arange(3)
-        outer[:, diagonal, diagonal] -= self._sum(np.einsum("ni,ni->n", arms, f))[:, None]
-        return _block_entries(self.unknown_groups()[0][:, 3:], -outer)
-
-    def jacobian_entries(self, q: Array) -> tuple[Array, Array, Array]:
-        """Entries of ``P``: rows 3 gp + axis, columns unknowns."""
-        count = np.diff(self._start)
-        arms = np.einsum("nij,nj->ni", np.repeat(self.rotation(q), count, axis=0), self._arms())
-        rows = 3 * (self.gridpoints.start + np.arange(len(arms)))[:, None] + np.arange(3)
-        base = np.repeat(self.unknown_groups()[0], count, axis=0)
-        x, y, z = arms.T
-        values = np.column_stack([np.ones((len(arms), 3)), z, -y, -z, x, y, -x])
-        at, axis = [0, 1, 2, 0, 0, 1, 1, 2, 2], [0, 1, 2, 4, 5, 3, 5, 3, 4]
-        return rows[:, at].ravel(), base[:, axis].ravel(), values.ravel()
+    def jacobian(self, q: Array) -> entries.Entries:
+        """``P(q)`` of `push`: rows 3 gp + axis of the model, columns its unknowns."""
+        return entries.of_arms(self.gridpoints.start, self._turned(q), self.groups(), np.diff(self._start))
 
     def _q(self, q: Array) -> Array:
         return q[self.coords].reshape(self.n_blocks, 7)
@@ -381,7 +434,11 @@ class RigidBlocks:
         return v[self.dofs].reshape(self.n_blocks, 6)
 
     def _arms(self) -> Array:
-        return self._X - np.repeat(self._C, np.diff(self._start), axis=0)
+        return self._X - np.repeat(self.centre0, np.diff(self._start), axis=0)
+
+    def _turned(self, q: Array) -> Array:
+        """Arms of the gridpoints (n, 3) [m] from the centroids now."""
+        return np.einsum("nij,nj->ni", np.repeat(self.rotation(q), np.diff(self._start), axis=0), self._arms())
 
     def _current_axes(self, q: Array) -> Array:
         return self.rotation(q) @ self.axes
@@ -390,26 +447,3 @@ class RigidBlocks:
         """Sum over the gridpoints of each block (none is empty)."""
         total: Array = np.add.reduceat(per_gridpoint, self._start[:-1], axis=0)
         return total
-
-
-def _block_entries(groups: Array, blocks: Array) -> tuple[Array, Array, Array]:
-    """Entries of dense blocks (m, k, k) on groups (m, k) of unknowns."""
-    k = groups.shape[1]
-    return np.repeat(groups, k, axis=1).ravel(), np.tile(groups, (1, k)).ravel(), np.ascontiguousarray(blocks).ravel()
-
-
-def _principal_axes(inertia: Array) -> tuple[Array, Array]:
-    """Principal moments (n, 3) [kg m^2] and directions (n, 3, 3) in columns, right-handed.
-
-    Normalised by the trace first, so that the same body in another unit of length gets the same axes to the last bit.
-    """
-    if len(inertia) == 0:
-        return np.zeros((0, 3)), np.zeros((0, 3, 3))
-    if not np.isfinite(inertia).all():
-        bad = int(np.flatnonzero(~np.isfinite(inertia).all(axis=(1, 2)))[0])
-        raise SceneError(f"rigid block {bad}: inertia is not finite")
-    size = np.trace(inertia, axis1=1, axis2=2)
-    size = np.where(size > 0.0, size, 1.0)
-    moments, axes = np.linalg.eigh(inertia / size[:, None, None])
-    axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
-    return np.ascontiguousarray(moments * size[:, None]), np.ascontiguousarray(axes)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from fdem.blocks import entries, recovery
 from fdem.blocks.assembly import coupling_norms, elastic_stiffness
 from fdem.blocks.bounds import Springs, share
 from fdem.blocks.masses import InertiaCorrection, block_moments, lumped_moments, row_sum_masses, voronoi_masses
-from fdem.blocks.zoneforces import LargeStrain, SmallStrain, elasticity, rotation_vectors, voigt_strain
-from fdem.blocks.zonetangents import ZoneMatrices
+from fdem.blocks.zoneforces import LargeStrain, SmallStrain, rotation_vectors
 from fdem.errors import MeshError, SceneError
-from fdem.kernels import corotated, stiffness, zones
+from fdem.kernels import stiffness
+from fdem.kernels import zones as kernels
 
 __all__ = ["ZonedBlocks"]
 
@@ -25,7 +25,7 @@ _SWEEPS = 12  # power sweeps of the frequency bound: 0.75 of the true step becom
 _MASS_RULES = ("voronoi", "row-sum", "inertia-matched")
 
 
-class ZonedBlocks:
+class ZonedBlocks(entries.Additive):
     """All zoned blocks of a model.
 
     Parameters
@@ -75,8 +75,12 @@ class ZonedBlocks:
     imported); where a stiffness matrix is needed, scikit-fem assembles it.
     """
 
+    label = "zoned"
     has_internal = True
     in_place = True
+    turns = False
+    coupled = False
+    has_strain = True
 
     def __init__(
         self,
@@ -111,7 +115,7 @@ class ZonedBlocks:
         self.zone_block = np.repeat(np.arange(self.n_blocks), np.diff(self.zone_start))
         m = self._nodes.shape[0]
         self.gradients, self.zone_volume = np.empty((m, 9)), np.empty(m)
-        _shape_gradients(self.X, self._nodes, self.gradients, self.zone_volume)
+        kernels.shape_gradients(self.X, self._nodes, self.gradients, self.zone_volume)
         if not np.all(self.zone_volume > 0.0):
             zone = int(np.argmin(self.zone_volume > 0.0))
             block = int(self.zone_block[zone])
@@ -170,11 +174,22 @@ class ZonedBlocks:
 
     # positions: the gridpoints are the unknowns, q and x share memory
 
+    def start(self, q: Array) -> None:
+        """Nothing: positions are the configuration already."""
+
+    def launch(self, q: Array, x: Array, v: Array, velocity: Array, spin: Array) -> None:
+        """Write velocities of rigid motion about the centres of the gridpoint masses into `v`."""
+        arm, owner = recovery.arms(self, x[self.gridpoints])
+        v[self.dofs] = (velocity[owner] + np.cross(spin[owner], arm)).ravel()
+
     def place(self, q: Array, x: Array) -> None:
         """Write positions (n_gp, 3) of this batch's gridpoints: q itself."""
         target, source = x[self.gridpoints], q[self.coords]
         if not np.may_share_memory(target, source):
             target[:] = source.reshape(-1, 3)
+
+    def show(self, q: Array, x: Array) -> None:
+        """Nothing: gridpoints are material points."""
 
     def push(self, q: Array, v: Array, xdot: Array) -> None:
         """Write velocities of gridpoints (n_gp, 3) [m/s]."""
@@ -184,14 +199,17 @@ class ZonedBlocks:
         """Add gridpoint forces (n_gp, 3) to generalised forces (n_dofs,) [N]."""
         f[self.dofs] += f_gp[self.gridpoints].ravel()
 
-    def advance(self, q: Array, v: Array, dt: float) -> None:
+    def advance(self, q: Array, v: Array, dt: float, scaled: Array | None = None) -> None:
         """``q += dt v``."""
         np.multiply(v[self.dofs], dt, out=self._motion)
         q[self.coords] += self._motion
 
+    def fit(self, row: int, q: Array, x: Array) -> None:
+        """Nothing: the positions are the unknowns."""
+
     # forces
 
-    def internal(self, x: Array, f: Array) -> None:
+    def internal(self, q: Array, x: Array, f: Array) -> None:
         """Subtract internal forces (n_dofs,) [N] at the positions x (n_gp, 3) [m]."""
         local, force = x[self.gridpoints], f[self.dofs].reshape(-1, 3)
         for term in self._terms:
@@ -220,12 +238,16 @@ class ZonedBlocks:
 
     # energies
 
+    def resist(self, q: Array, f: Array, v: Array, share: float, out: Array) -> None:
+        """Write a `share` of every force, against the velocity, into `out`."""
+        out[self.dofs] = share * np.abs(f[self.dofs]) * np.sign(v[self.dofs])
+
     def kinetic(self, q: Array, v: Array) -> float:
         """Kinetic energy [J]."""
         velocity = v[self.dofs].reshape(-1, 3)
         return float(0.5 * np.sum(velocity * self.multiply_mass(velocity)))
 
-    def strain_energy(self, x: Array) -> float:
+    def strain_energy(self, q: Array, x: Array) -> float:
         """Strain energy [J]; with in-situ stress, counted from the reference configuration."""
         local = x[self.gridpoints]
         return float(sum(term.energy(local) for term in self._terms))
@@ -239,36 +261,18 @@ class ZonedBlocks:
     def _couple(self) -> tuple[Array, Array, Array, Array]:
         """Norms of the stiffness blocks at the reference configuration, as a sparse symmetric pattern."""
         if self._coupling is None:
-            self._coupling = coupling_norms(
-                self._nodes,
-                self.gradients,
-                self.zone_volume,
-                self.lam[self.zone_block],
-                self.mu[self.zone_block],
-                self.X.shape[0],
-            )
+            lam, mu = self.lam[self.zone_block], self.mu[self.zone_block]
+            n = self.X.shape[0]
+            self._coupling = coupling_norms(self._nodes, self.gradients, self.zone_volume, lam, mu, n)
         return self._coupling
 
     def frequency_bound(self, q: Array, x: Array, k_gp: Array) -> Array:
         """Upper bounds of omega^2 per block (n_blocks,) [1/s^2], contact stiffness k_gp (n_gp,) [N/m] included."""
-        row_start, column, value, diagonal = self._couple()
-        n = self.X.shape[0]
+        n, pattern = self.X.shape[0], self._couple()
         bound, worst = np.empty(self.n_blocks), np.empty(self.n_blocks, dtype=np.int64)
         k_local = np.ascontiguousarray(k_gp[self.gridpoints], dtype=np.float64)
-        stiffness.perron_bounds(
-            row_start,
-            column,
-            value,
-            diagonal,
-            self.gp_mass,
-            k_local,
-            self._start,
-            _SWEEPS,
-            np.empty(n),
-            np.empty(n),
-            bound,
-            worst,
-        )
+        room = np.empty(n), np.empty(n)
+        stiffness.perron_bounds(*pattern, self.gp_mass, k_local, self._start, _SWEEPS, *room, bound, worst)
         self.limiting_gridpoint = worst + self.gridpoints.start
         if self._correction is not None:
             b = self._matched
@@ -297,7 +301,13 @@ class ZonedBlocks:
         """``v.M v`` with the fictitious masses."""
         return float(scaled @ (v[self.dofs].reshape(-1, 3) ** 2).sum(axis=1))
 
-    def unbalance(self, x: Array, unbalanced: Array, pushes: Array, gravity: float, scaled: Array | None) -> float:
+    def decay_bound(self, q: Array, c_gp: Array) -> float:
+        """Largest decay rate [1/s] that dashpots `c_gp` (n_gp,) [N s/m] give a gridpoint."""
+        return float((c_gp[self.gridpoints] / self.gp_mass).max(initial=0.0))
+
+    def unbalance(
+        self, q: Array, x: Array, unbalanced: Array, pushes: Array, gravity: float, scaled: Array | None
+    ) -> float:
         """Largest unbalanced gridpoint force over the largest acting (see `RigidBlocks.unbalance`).
 
         Positions end at their last bits, and so forces: that much (8 for the sum over the zones of a gridpoint) is not
@@ -307,58 +317,81 @@ class ZonedBlocks:
         if scaled is not None:
             left -= 8 * np.finfo(float).eps * np.abs(x[self.gridpoints]).max() * scaled
         inner = np.zeros(len(unbalanced))
-        self.internal(x, inner)
+        self.internal(q, x, inner)
         acting = float(np.linalg.norm(inner[self.dofs].reshape(-1, 3), axis=1).max())
         weight = gravity * float(self.gp_mass.max())
         return share(max(float(left.max()), 0.0), max(acting, weight, float(pushes[self.gridpoints].max(initial=0.0))))
 
     # implicit steps
 
-    def shift(self, q: Array, d: Array) -> None:
-        """``q += d`` for this batch's unknowns."""
-        q[self.coords] += d[self.dofs]
-
-    def gyroscopic(self, q: Array, v: Array, f: Array) -> None:
-        """Nothing: gridpoints do not turn."""
-
-    def dof_rows(self) -> Array:
-        """Row in the model of the block of every unknown of this batch."""
-        return np.repeat(np.repeat(self.rows, np.diff(self._start)), 3)
-
-    def mass_diagonal(self, q: Array) -> Array:
-        """Diagonal of the mass matrix of this batch (lumped part)."""
-        return np.repeat(self.gp_mass, 3)
-
-    def add_momentum(self, q: Array, v: Array, out: Array) -> None:
-        """``out += M v``."""
-        out[self.dofs] += self.multiply_mass(v[self.dofs].reshape(-1, 3)).ravel()
-
-    def unknown_groups(self) -> list[Array]:
-        """Unknowns that belong together: three of every gridpoint."""
-        return [self.dofs.start + np.arange(self.X.size).reshape(-1, 3)]
-
-    def mass_entries(self, q: Array) -> tuple[Array, Array, Array]:
-        """Rows, columns and values of the mass matrix."""
-        return self._matrices.mass()
-
-    def stiffness_entries(self, x: Array) -> tuple[Array, Array, Array]:
-        """Rows, columns and values of d internal force / d position at the positions x (n_gp, 3)."""
-        return self._matrices.stiffness(x[self.gridpoints])
-
-    def jacobian_entries(self, q: Array) -> tuple[Array, Array, Array]:
-        """Entries of ``P``: the unknowns are the positions."""
-        rows = 3 * self.gridpoints.start + np.arange(self.X.size)
-        return rows, self.dofs.start + np.arange(self.X.size), np.ones(self.X.size)
-
-    @cached_property
-    def _matrices(self) -> ZoneMatrices:
-        return ZoneMatrices(self)
+    def jacobian(self, q: Array) -> entries.Entries:
+        """``P`` of `push`: rows 3 gp + axis of the model, columns its unknowns: the positions themselves."""
+        return entries.same(3 * self.gridpoints.start, self.dofs)
 
     # recovery
 
+    def dofs_of(self, row: int) -> slice:
+        """Unknowns of one block."""
+        return slice(*(self.dofs.start + 3 * self._start[row : row + 2]))
+
+    def coords_of(self, row: int) -> slice:
+        """Coordinates of one block in `q`."""
+        return slice(*(self.coords.start + 3 * self._start[row : row + 2]))
+
+    def centres(self, q: Array, x: Array) -> Array:
+        """Centroids (n_blocks, 3) [m]."""
+        return recovery.centres(self, x)
+
+    def stresses(self, q: Array, x: Array) -> Array:
+        """Volume mean of the Cauchy stress (n_blocks, 6) [Pa]."""
+        return recovery.volume_mean(self, x, self.zone_stress(x))
+
+    def strains(self, q: Array, x: Array) -> Array:
+        """Volume mean of the strain (n_blocks, 6)."""
+        return recovery.volume_mean(self, x, self.zone_strain(x))
+
+    def motion(self, q: Array, v: Array, x: Array) -> tuple[Array, Array]:
+        """Momentum over mass, and angular velocity of the mean rotation, (n_blocks, 3) each."""
+        return recovery.motion(self, v, x)
+
+    def turn(self, q: Array, v: Array, dt: float) -> Array:
+        """Zeros (n_blocks, 3): the rotation is read from the positions."""
+        return np.zeros((self.n_blocks, 3))
+
+    def rotation(self, q: Array, x: Array) -> Array:
+        """Rotations (n_blocks, 3, 3) of the mean deformation."""
+        return recovery.rotation(self, x)
+
+    def inertia(self, q: Array, x: Array) -> Array:
+        """Inertia about the centroids now (n_blocks, 3, 3) [kg m^2]."""
+        return recovery.inertia(self, x)
+
+    def angular_momentum(self, q: Array, v: Array, x: Array) -> Array:
+        """Angular momentum about the centroids (n_blocks, 3) [kg m^2/s]."""
+        return recovery.angular_momentum(self, v, x)
+
+    def theory(self, row: int, q: Array) -> None:
+        """None: the unknowns are the theory's."""
+
+    def mass_of(self, row: int, q: Array) -> Array:
+        """Mass matrix (3 n, 3 n) of one block with n gridpoints."""
+        return recovery.mass_matrix(self, row)
+
+    def generalised_displacement(self, row: int, q: Array, displacement: Array, moved: Array, turned: Array) -> Array:
+        """The theory's u (3 n,): displacements of the gridpoints [m]."""
+        start, stop = self._start[row : row + 2] + self.gridpoints.start
+        return displacement[start:stop].ravel()
+
+    def inverted(self, q: Array, x: Array) -> tuple[int, int, str] | None:
+        """Row in the model, a gridpoint and the name of the first zone turned inside out, or None."""
+        found = self.first_inverted(x)
+        if found is None:
+            return None
+        return int(self.rows[found[0]]), int(self.nodes_of(*found)[0]), f"zone {found[1]} of it"
+
     def first_inverted(self, x: Array) -> tuple[int, int] | None:
         """Return (block, zone of that block) of the first zone turned inside out, or None."""
-        zone = int(zones.first_inverted(x[self.gridpoints], self._nodes))
+        zone = int(kernels.first_inverted(x[self.gridpoints], self._nodes))
         if zone < 0:
             return None
         block = int(self.zone_block[zone])
@@ -371,48 +404,20 @@ class ZonedBlocks:
     def deformation(self, x: Array) -> Array:
         """Deformation gradients of the zones (m, 3, 3)."""
         F = np.empty((self._nodes.shape[0], 3, 3))
-        zones.deformation(x[self.gridpoints], self._nodes, self.gradients, F)
+        kernels.deformation(x[self.gridpoints], self._nodes, self.gradients, F)
         return F
 
-    def _rotations(self, F: Array) -> Array:
-        R = np.empty_like(F)
-        corotated.polar_rotations(F, R)
-        return R
-
-    def _strained(self, x: Array) -> tuple[Array, Array, Array]:
-        """F, the rotation and the material strain of every zone, as its block's formulation measures them."""
-        F = self.deformation(x)
-        R = self._rotations(F)
-        strain = 0.5 * (np.swapaxes(F, 1, 2) @ F - np.eye(3))
-        for term in self._terms:
-            if isinstance(term, SmallStrain):
-                term.override(x[self.gridpoints], F, R, strain)
-        return F, R, strain
-
     def zone_strain(self, x: Array) -> Array:
-        """Strain of the zones (m, 6), xx yy zz yz zx xy in global axes, engineering shear.
-
-        Green-Lagrange strain turned to the present axes, ``R E R^T``; for ``strain="small"`` the linear strain in
-        the frame of the block, turned alike.
-        """
-        _, R, strain = self._strained(x)
-        return voigt_strain(R @ strain @ np.swapaxes(R, 1, 2))
+        """Strain of the zones (m, 6), xx yy zz yz zx xy in global axes, engineering shear; see `recovery.strain`."""
+        return recovery.strain(self, x)
 
     def zone_stress(self, x: Array) -> Array:
         """Cauchy stress of the zones (m, 6), xx yy zz yz zx xy in global axes, tension positive [Pa]."""
-        F, R, strain = self._strained(x)
-        material = elasticity(strain, self.lam[self.zone_block], self.mu[self.zone_block])
-        if self.stress0 is not None:
-            material += _tensor(self.stress0)
-        large = self.large[self.zone_block][:, None, None]
-        carrier = np.where(large, F, R)
-        cauchy = carrier @ material @ np.swapaxes(carrier, 1, 2)
-        cauchy /= np.where(large[:, 0, 0], np.linalg.det(F), 1.0)[:, None, None]
-        return cauchy[:, [0, 1, 2, 1, 2, 0], [0, 1, 2, 2, 0, 1]]
+        return recovery.stress(self, x)
 
     def zone_rotation(self, x: Array) -> Array:
         """Rotation vectors of the zones (m, 3) [rad], polar decomposition of the deformation gradient."""
-        return rotation_vectors(self._rotations(self.deformation(x)))
+        return rotation_vectors(recovery.polar(self.deformation(x)))
 
     def local_range(self, x: Array) -> tuple[Array, Array]:
         """Largest strain component and largest rotation [rad] against the block's frame, per block.
@@ -425,22 +430,20 @@ class ZonedBlocks:
                 term.local_range(x[self.gridpoints], self.deformation(x), strain, rotation)
         return strain, rotation
 
+    def mass_entries(self, q: Array) -> entries.Entries:
+        """Mass matrix."""
+        return entries.zone_mass(self)
+
+    def tangent(self, q: Array, x: Array) -> entries.Entries:
+        """Derivative of the internal forces by the unknowns."""
+        return entries.zone_tangent(self, x)
+
     def stiffness(self) -> Any:
         """Return K (3n, 3n), scipy CSR, of linear elasticity at the reference configuration, from scikit-fem [N/m]."""
-        block = self.zone_block
-        return elastic_stiffness(self.X, self._nodes, self.lam[block], self.mu[block])
+        return elastic_stiffness(self.X, self._nodes, self.lam[self.zone_block], self.mu[self.zone_block])
 
     def executor(self) -> ThreadPoolExecutor:
         """Return the pool of helper threads, started at the first call."""
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.threads - 1, thread_name_prefix="fdem-zones")
         return self._pool
-
-
-def _shape_gradients(X: Array, nodes: Array, gradients: Array, volume: Array) -> None:
-    zones.shape_gradients(X, nodes, gradients, volume)
-
-
-def _tensor(voigt: Array) -> Array:
-    """Symmetric tensors (m, 3, 3) of stresses (m, 6) xx yy zz yz zx xy."""
-    return voigt[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]

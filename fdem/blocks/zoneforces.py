@@ -13,7 +13,7 @@ from fdem.kernels import corotated, zones
 if TYPE_CHECKING:
     from fdem.blocks.zoned import ZonedBlocks
 
-__all__ = ["LargeStrain", "SmallStrain", "elasticity", "rotation_vectors", "voigt_strain"]
+__all__ = ["LargeStrain", "SmallStrain", "elasticity", "rotation_vectors", "tensors", "voigt_strain"]
 
 Array = Any
 
@@ -31,6 +31,11 @@ def elasticity(strain: Array, lam: Array, mu: Array) -> Array:
 def voigt_strain(strain: Array) -> Array:
     """Strain vectors (m, 6) xx yy zz yz zx xy with engineering shear of tensors (m, 3, 3)."""
     return strain[:, [0, 1, 2, 1, 2, 0], [0, 1, 2, 2, 0, 1]] * np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+
+
+def tensors(voigt: Array) -> Array:
+    """Symmetric tensors (m, 3, 3) of stresses (m, 6) xx yy zz yz zx xy."""
+    return voigt[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
 
 
 def rotation_vectors(R: Array) -> Array:
@@ -146,7 +151,6 @@ class SmallStrain:
         self.start, self.stop = owner._start[:-1][self.blocks], owner._start[1:][self.blocks]
         n = owner.X.shape[0]
         K = elastic_stiffness(owner.X, owner._nodes[self.zones], owner.lam[block], owner.mu[block])
-        self._stiffness = K
         self.row_start, self.column, self.diagonal, self.upper = upper_block_rows(K)
         self._set_frame(n)
         self.prestress = np.zeros((n, 3))
@@ -218,21 +222,6 @@ class SmallStrain:
         """Strain energy [J]."""
         self._product(x)
         return float(0.5 * np.sum(self.y * (self.g + self.prestress)))
-
-    def block_stiffness(self, x: Array, first: Array, second: Array, data: Array) -> None:
-        """Add ``R K R^T`` to the 3x3 blocks (first, second) of `data`; how the frame turns is left out."""
-        self._product(x)
-        K = self._stiffness.tocsr()
-        turn = np.zeros((len(x), 3, 3))
-        member = np.zeros(len(x), dtype=bool)
-        for lo, hi, R in zip(self.start, self.stop, self.R, strict=True):
-            turn[lo:hi], member[lo:hi] = R, True
-        mine = np.flatnonzero(member[first])
-        a, b = first[mine], second[mine]
-        rows = 3 * a[:, None, None] + np.arange(3)[:, None] + np.zeros((1, 1, 3), np.int64)
-        cols = 3 * b[:, None, None] + np.arange(3) + np.zeros((1, 3, 1), np.int64)
-        local = np.asarray(K[rows.ravel(), cols.ravel()]).reshape(-1, 3, 3)
-        data[mine] += turn[a] @ local @ np.swapaxes(turn[b], 1, 2)
 
     def override(self, x: Array, F: Array, R: Array, strain: Array) -> None:
         """Replace rotation and strain of this term's zones by the block's rotation and the linear strain."""

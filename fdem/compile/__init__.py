@@ -11,15 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from fdem.compile.assembly import Layout, assemble, in_situ, lay_out
+from fdem.compile.assembly import assemble
+from fdem.compile.formulations import FORMULATIONS
 from fdem.compile.joints import JointTables
+from fdem.compile.layout import Layout, in_situ, lay_out
 from fdem.compile.loads import compile_loads
+from fdem.compile.particles import compile_particles
 from fdem.compile.select import Selector
 from fdem.compile.supports import compile_constraints
 from fdem.constraints import Constraints
 from fdem.loads import Load
 from fdem.model import Model
 from fdem.scene.boundary import Stress
+from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Scene
 from fdem.scene.shapes import Surface
 from fdem.state import State
@@ -38,7 +42,9 @@ class Compiled:
     model, state : Model, State
         Frozen arrays, and those that change.
     contacts : Contacts or None
-        The contact layer; None where no two blocks can meet.
+        The contact layer of blocks with faces; None where no two of them can meet.
+    particles : SphereContacts or None
+        Contacts with a sphere in them.
     constraints : Constraints
         Fixed and prescribed components.
     loads : list of Load
@@ -52,13 +58,16 @@ class Compiled:
     model: Model
     state: State
     contacts: Any
+    particles: Any
     constraints: Constraints
     loads: list[Load]
     alpha: np.ndarray | None
     drags: list[tuple[Applied, np.ndarray]]
 
 
-def compile_scene(scene: Scene, removed: frozenset[str], loads: list[Applied], threads: int) -> Compiled:
+def compile_scene(
+    scene: Scene, removed: frozenset[str], loads: list[Applied], threads: int, before: Kept | None = None
+) -> Compiled:
     """Resolve a scene into arrays, formulations, contacts, loads and constraints.
 
     Parameters
@@ -71,68 +80,96 @@ def compile_scene(scene: Scene, removed: frozenset[str], loads: list[Applied], t
         The scene's loads and those applied to the simulation.
     threads : int
         Threads of the zone kernels.
+    before : Kept, optional
+        Origin and zones that stay, because a state is to go on.
 
     Raises
     ------
     SceneError, JointError, MeshError
         If the scene is wrong; the message names block, field and value.
     """
-    layout = lay_out(scene, removed, loads)
+    layout = lay_out(scene, removed, loads, before)
     model, state = assemble(layout, threads)
-    for batch in model.batches:
-        batch.place(state.q, state.x)
-    state.x_old[:] = state.x
     select = Selector(layout, model)
     numeric, alpha, drags = compile_loads(select)
     constraints = compile_constraints(select)
-    contacts = _contacts(layout, model, select, state)
+    contacts, particles = _contacts(layout, model, select, state)
     _describe(layout, model, contacts, numeric)
-    return Compiled(layout, select, model, state, contacts, constraints, numeric, alpha, drags)
+    return Compiled(layout, select, model, state, contacts, particles, constraints, numeric, alpha, drags)
 
 
-def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> Any:
-    """The contact layer of the model, or None where no two blocks can meet."""
+def _contacts(layout: Layout, model: Model, select: Selector, state: State) -> tuple[Any, Any]:
+    """Contacts of blocks with faces, and of spheres; None each where there is nothing to meet."""
     if model.n_blocks < 2 or model.fixed.all():
         model.notes.append("contacts: left out, there are not two blocks of which one can move")
-        return None
-    from fdem.contact.contacts import Contacts, LawTable
+        return None, None
+    tables = JointTables(layout, select)
+    model.notes.extend(tables.notes)
+    faced = np.array([len(loops) > 0 for loops in layout.loops])
+    blocks = _surfaces(layout, model) if faced.any() else []
+    contacts = None
+    if faced.sum() >= 2 and not model.fixed[faced].all():
+        contacts = _face_contacts(layout, model, state, blocks, tables)
+    if faced.all():
+        return contacts, None
+    from fdem.contact.surface import Surfaces
+
+    model.notes.append("spheres: no orientation is kept, their inertia is a number")
+    if contacts is not None:
+        return contacts, compile_particles(layout, model, state, contacts.surfaces, tables)
+    model.notes.append("contacts of faces with faces: left out, no two blocks with faces can meet")
+    surfaces = Surfaces.build(blocks, state.x) if faced.any() else None
+    return None, compile_particles(layout, model, state, surfaces, tables)
+
+
+def _surfaces(layout: Layout, model: Model) -> list[Any]:
+    """Surfaces of all blocks, empty for those without faces."""
     from fdem.contact.surface import BlockSurface
 
+    none = BlockSurface([], np.zeros(0, dtype=np.int32), True, (0, 0), True, 0.0, np.inf)
     number = {tag: i for i, tag in enumerate(model.tags)}
     surfaces = []
     for i, kind in enumerate(layout.kind):
+        if not len(layout.loops[i]):
+            surfaces.append(none)
+            continue
         start, stop = (int(k) for k in model.gp_range[i])
-        deformable = kind == "zoned"
+        mesh = layout.meshes[i]
         shape = layout.blocks[i].shape
         surfaces.append(
             BlockSurface(
                 loops=[np.asarray(loop, dtype=np.int32) + np.int32(start) for loop in layout.loops[i]],
                 tags=np.array([-1 if tag is None else number[tag] for tag in layout.loop_tags[i]], dtype=np.int32),
-                affine=not deformable,
+                affine=mesh is None,
                 gp=(start, stop),
                 fixed=bool(model.fixed[i]),
                 volume=0.0 if isinstance(shape, Surface) else float(model.volume[i]),
                 mass=np.inf if model.fixed[i] else float(model.mass[i]),
-                behind=_behind(layout.meshes[i]) + start if deformable else None,
+                whole=kind != "zoned",
+                behind=None if mesh is None else (_behind if kind == "zoned" else _opposite)(mesh) + start,
             )
         )
-    tables = JointTables(layout, select)
-    model.notes.extend(tables.notes)
+    return surfaces
+
+
+def _face_contacts(layout: Layout, model: Model, state: State, surfaces: list[Any], tables: JointTables) -> Any:
+    """The contact layer of blocks with faces."""
+    from fdem.contact.contacts import Contacts
+    from fdem.contact.table import whole_points
+
     contacts = Contacts(
         surfaces,
         state.x,
         gp_mass=model.gp_mass,
-        laws=[
-            LawTable(kernel, np.array(rows), hard=tables.hard(k))
-            for k, (kernel, rows) in enumerate(zip(tables.kernels, tables.rows, strict=True))
-        ],
+        laws=tables.tables(),
+        numerical=tables.numerical,
         assign=tables.assign,
         gap_tolerance=layout.scene.gap_tolerance,
         names=model.names,
     )
     if any(isinstance(applied.load, Stress) for applied in layout.loads):
         owner = np.repeat(contacts.slave[contacts.patches.pair], 3)
-        stress = in_situ(layout, contacts.points(state.x) + model.origin, owner)
+        stress = in_situ(layout, whole_points(contacts.patches, state.x) + model.origin, owner)
         assert stress is not None
         contacts.preload(state.x, stress)
     return contacts
@@ -150,15 +187,25 @@ def _behind(mesh: Any) -> np.ndarray:
     return tets[found % len(tets), found // len(tets)].astype(np.int32)
 
 
+def _opposite(mesh: Any) -> np.ndarray:
+    """For every facet of a block without zones the gridpoint farthest behind it."""
+    corners = mesh.points[mesh.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    depth = np.einsum("ti,ti->t", normal, corners[:, 0])[:, None] - normal @ mesh.points.T
+    return np.argmax(depth, axis=1).astype(np.int32)
+
+
 def _describe(layout: Layout, model: Model, contacts: Any, loads: list[Load]) -> None:
     """Notes on what this scene does not need."""
-    counts = {kind: len(layout.of_kind(kind)) for kind in ("zoned", "rigid", "static")}
-    model.notes.append(f"blocks: {counts['zoned']} zoned, {counts['rigid']} rigid or driven, {counts['static']} fixed")
-    if not counts["zoned"]:
-        model.notes.append("zones: left out, no block is deformable (gmsh and scikit-fem are not imported)")
-    if not counts["rigid"]:
-        model.notes.append("rigid blocks: left out")
-    if counts["static"]:
+    counts = {row.label: len(layout.of_kind(row.kind)) for row in reversed(FORMULATIONS)}
+    counts["fixed"] = len(layout.of_kind("static"))
+    model.notes.append("blocks: " + ", ".join(f"{n} {label}" for label, n in counts.items() if n))
+    if not layout.of_kind("zoned"):
+        model.notes.append("zones: left out, no block has any (gmsh and scikit-fem are not imported)")
+    absent = [row.label for row in FORMULATIONS if row.kind not in layout.kind]
+    if absent:
+        model.notes.append(f"blocks that are {' or '.join(absent)}: left out")
+    if counts["fixed"]:
         model.notes.append("fixed blocks: no unknowns; contacts between fixed blocks are never looked for")
     if not loads:
         model.notes.append("loads: left out, none is applied")

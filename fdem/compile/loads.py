@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from fdem import loads as numeric
+from fdem.blocks.conditions import shared_forces
 from fdem.compile.select import Selector
 from fdem.errors import SceneError
 from fdem.model import Model
@@ -42,18 +43,17 @@ def compile_loads(select: Selector) -> tuple[list[numeric.Load], np.ndarray | No
             boundary.Drag: _drag,
             boundary.Support: _support,
         }
-        result.append(makers.get(type(load), _user)(select, applied))
+        made: Any = makers.get(type(load), _user)(select, applied)
+        result.extend(made if isinstance(made, list) else [made])
     return result, alpha, drags
 
 
 def _block_dofs(model: Model, block: int) -> np.ndarray:
-    row = model.batch_row[block]
-    if row < 0:
+    batch = model.batch_of(block)
+    if batch is None:
         return np.zeros(0, dtype=np.int64)
-    if model.zoned[block]:
-        start, stop = model.gp_range[block]
-        return np.arange(model.deformable.dofs.start + 3 * start, model.deformable.dofs.start + 3 * stop)
-    return np.arange(6 * row, 6 * row + 6)
+    own = batch.dofs_of(model.batch_row[block])
+    return np.arange(own.start, own.stop)
 
 
 def _force(select: Selector, applied: Applied) -> numeric.Load:
@@ -82,7 +82,7 @@ def _mass_shares(select: Selector, applied: Applied) -> tuple[np.ndarray, np.nda
             gps.append(gp)
             weights.append(model.gp_mass[gp])
         elif len(gp) == stop - start and not isinstance(applied.target, Gridpoint):
-            corner, share = select.affine(block, model.centroid[block])
+            corner, share = select.evenly(block)
             gps.append(corner)
             weights.append(share * max(model.mass[block], np.finfo(float).tiny))
         else:
@@ -92,37 +92,67 @@ def _mass_shares(select: Selector, applied: Applied) -> tuple[np.ndarray, np.nda
     return np.concatenate(gps), total / total.sum()
 
 
-def _moment(select: Selector, applied: Applied) -> numeric.Load:
-    """Forces m (theta x r) on each block's gridpoints, whose moment about the centroid is the block's share."""
+def _moment(select: Selector, applied: Applied) -> list[numeric.Load]:
+    """Every block takes a share of the moment by its mass."""
     model, blocks = select.model, select.blocks(applied.target, "Moment")
     value = np.asarray(applied.load.value, dtype=float)
     mass = np.array([max(model.mass[b], np.finfo(float).tiny) for b in blocks])
-    gps, forces = [], []
+    parts, dofs, turning = [], [], []
     for block, share in zip(blocks, mass / mass.sum(), strict=True):
+        batch = model.batch_of(block)
+        if model.gp_range[block, 1] - model.gp_range[block, 0] == 1:
+            if batch is not None:
+                dofs.append(batch.dofs_of(model.batch_row[block]).start + 3)
+                turning.append(share * value)
+            continue
         gp = np.arange(*model.gp_range[block])
-        weight = model.gp_mass[gp] if model.zoned[block] else np.ones(len(gp))
-        arm = model.X[gp] - weight @ model.X[gp] / weight.sum()
-        inertia = (weight @ (arm * arm).sum(axis=1)) * np.eye(3) - np.einsum("n,ni,nj->ij", weight, arm, arm)
-        spin = np.linalg.solve(inertia, share * value)
-        gps.append(gp)
-        forces.append(weight[:, None] * np.cross(spin, arm))
-    return numeric.DeadLoad(applied, np.concatenate(gps), np.vstack(forces))
+        weights = model.gp_mass[gp] if model.zoned[block] else select.dual(block)
+        parts.append((gp, weights, share * value))
+    result: list[numeric.Load] = [numeric.Couple(applied, parts)] if parts else []
+    return [*result, numeric.Torque(applied, np.array(dofs), np.array(turning))] if dofs else result
 
 
 def _traction(select: Selector, applied: Applied) -> numeric.Load:
-    """Consistent gridpoint forces; the mid-edge rule is exact for tractions linear on a triangle."""
+    """Consistent gridpoint forces."""
     model, value = select.model, applied.load.value
     rows = select.faces(applied.target, applied.where, "Traction")
-    triangles, area = model.triangles[rows], select.area_vectors(rows)
+    curved = np.array([getattr(model.batch_of(b), "by_points", False) for b in model.triangle_block[rows]])
+    gps, forces = [], []
+    for block in np.unique(model.triangle_block[rows[curved]]):
+        mine = rows[curved & (model.triangle_block[rows] == block)]
+        gp, force = shared_forces(
+            model.batch_of(block), int(model.batch_row[block]), *_on_triangles(select, value, mine, *_FINE)
+        )
+        gps.append(gp)
+        forces.append(force)
+    if not curved.all():
+        flat = rows[~curved]
+        # exact for tractions linear on a triangle
+        force = _on_triangles(select, value, flat, *_MIDDLES)[1].reshape(len(flat), len(_MIDDLES[0]), 3)
+        gps.append(model.triangles[flat].ravel())
+        forces.append(np.einsum("pk,tpi->tki", _MIDDLES[0], force).reshape(-1, 3))
+    return numeric.DeadLoad(applied, np.concatenate(gps), np.vstack(forces))
+
+
+# points of a triangle (barycentric) and weights: exact for degree 2, and for degree 5 (Radon 1948)
+_MIDDLES = (0.5 * (1.0 - np.eye(3)), np.full(3, 1.0 / 3.0))
+_NEAR, _FAR = (6.0 - np.sqrt(15.0)) / 21.0, (6.0 + np.sqrt(15.0)) / 21.0
+_FINE = (
+    np.vstack([np.full((1, 3), 1 / 3), *((1 - 3 * a) * np.eye(3) + a for a in (_NEAR, _FAR))]),
+    np.array([0.225, *[(155.0 - np.sqrt(15.0)) / 1200.0] * 3, *[(155.0 + np.sqrt(15.0)) / 1200.0] * 3]),
+)
+
+
+def _on_triangles(
+    select: Selector, value: Any, rows: np.ndarray, points: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n, 3), relative to the model's origin, and forces (n, 3) of a traction on surface triangles."""
+    model, area = select.model, np.repeat(select.area_vectors(rows), len(weights), axis=0)
+    places = np.einsum("pk,tki->tpi", points, model.X[model.triangles[rows]]).reshape(-1, 3)
+    given = _traction_at(value, places + model.origin)
     size = np.linalg.norm(area, axis=1, keepdims=True)
-    forces = np.zeros((len(rows), 3, 3))
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        middle = 0.5 * (model.X[triangles[:, i]] + model.X[triangles[:, j]]) + model.origin
-        given = _traction_at(value, middle)
-        traction = given * size if given.shape[1] == 3 else _voigt_times(given, area)
-        forces[:, i] += traction / 6.0
-        forces[:, j] += traction / 6.0
-    return numeric.DeadLoad(applied, triangles.ravel(), forces.reshape(-1, 3))
+    force = given * size if given.shape[1] == 3 else _voigt_times(given, area)
+    return places, force * np.tile(weights, len(rows))[:, None]
 
 
 def _traction_at(value: Any, places: np.ndarray) -> np.ndarray:

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from fdem.compile.assembly import Layout
-from fdem.errors import SceneError
+from fdem.blocks.conditions import dual, weights_of
+from fdem.compile.layout import Layout
+from fdem.errors import SceneError, UnsupportedError
 from fdem.model import Model
 from fdem.scene.scene import Gridpoint, choose
 
@@ -94,13 +95,8 @@ class Selector:
         a, b, c = (self.model.X[self.model.triangles[rows, k]] for k in range(3))
         return 0.5 * np.cross(b - a, c - a)
 
-    def dof_rows(self, gp: np.ndarray) -> np.ndarray:
-        """First velocity dof of zoned gridpoints."""
-        first = self.model.deformable.dofs.start
-        return first + 3 * gp
-
     def affine(self, block: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gridpoints and weights of a material point of `block` (exact for affine motion).
+        """Gridpoints and weights of a material point of `block`, exact for what its formulation can do.
 
         Raises
         ------
@@ -119,11 +115,38 @@ class Selector:
                 where = point + model.origin
                 raise SceneError(f"Force: at = {where} lies outside block {model.names[block]!r}")
             return zones[best], weights[best]
+        batch, row = model.batch_of(block), int(model.batch_row[block])
+        if getattr(batch, "by_points", False):
+            value = batch.functions((point - batch.centre0[row])[None], np.array([row]))[0]
+            return weights_of(batch, row, value)
         gp = np.arange(*model.gp_range[block])
+        if len(gp) == 1:
+            if np.linalg.norm(point - model.X[gp[0]]) > 1e-9 * model.size[block]:
+                raise UnsupportedError(
+                    f"Force: block {model.names[block]!r} is a sphere without orientation, forces act at its centre; "
+                    "Rigid(orientation=True) gives it one"
+                )
+            return gp, np.ones(1)
         chosen = gp[_spread(model.X[gp])]
         corners = model.X[chosen]
         inner = np.linalg.solve((corners[1:] - corners[0]).T, point - corners[0])
         return chosen, np.concatenate([[1 - inner.sum()], inner])
+
+    def evenly(self, block: int) -> tuple[np.ndarray, np.ndarray]:
+        """Gridpoints and weights by which a force moves a block that moves as a whole, without turning or strain."""
+        batch, row = self.model.batch_of(block), int(self.model.batch_row[block])
+        if getattr(batch, "by_points", False):
+            return weights_of(batch, row, np.zeros(batch.k))
+        return self.affine(block, self.model.centroid[block])
+
+    def dual(self, block: int) -> np.ndarray:
+        """Weights (n, 3) by which gridpoints of a block give its deformation gradient."""
+        batch, row = self.model.batch_of(block), int(self.model.batch_row[block])
+        if getattr(batch, "by_points", False):
+            return dual(batch, row)
+        arm = self.model.X[slice(*self.model.gp_range[block])]
+        arm = arm - arm.mean(axis=0)
+        return arm @ np.linalg.pinv(arm.T @ arm)
 
 
 def _spread(points: np.ndarray) -> list[int]:

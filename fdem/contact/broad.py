@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fdem.contact.surface import Surfaces
 from fdem.kernels import broad as kernels
 
-__all__ = ["block_skins", "candidate_pairs", "master_first"]
+__all__ = ["block_skins", "candidate_pairs", "common_pairs", "master_first"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -38,12 +38,23 @@ def candidate_pairs(surfaces: Surfaces, x: Array, skins: Array, may_touch: Calla
     """
     s = surfaces
     points = x[s.surface_gp]
-    lower = np.minimum.reduceat(points, s.surface_start[:-1], axis=0)
-    upper = np.maximum.reduceat(points, s.surface_start[:-1], axis=0)
-    pairs: Ints = kernels.box_pairs(lower, upper, REACH * skins, s.fixed)
+    faced = np.flatnonzero(np.diff(s.surface_start))
+    lower = np.minimum.reduceat(points, s.surface_start[faced], axis=0)
+    upper = np.maximum.reduceat(points, s.surface_start[faced], axis=0)
+    pairs: Ints = faced[kernels.box_pairs(lower, upper, REACH * skins[faced], s.fixed[faced])].astype(np.int32)
     if may_touch is not None and len(pairs):
         pairs = pairs[np.asarray(may_touch(pairs[:, 0], pairs[:, 1]), dtype=bool)]
     return pairs
+
+
+def common_pairs(old: Ints, new: Ints) -> tuple[Any, Any, Ints]:
+    """Rows of `old` and `new` (sorted pairs) that are the same pair, and for every old row its new one or -1."""
+    n = int(max(old.max(initial=-1), new.max(initial=-1))) + 1
+    before, after = (pairs[:, 0].astype(np.int64) * n + pairs[:, 1] for pairs in (old, new))
+    _, at_old, at_new = np.intersect1d(before, after, assume_unique=True, return_indices=True)
+    number = np.full(len(old), -1, np.int32)
+    number[at_old] = at_new
+    return at_old, at_new, number
 
 
 def master_first(surfaces: Surfaces, pairs: Ints) -> tuple[Ints, Ints]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.contact.corners import stored_in_corners
+from fdem.contact import response
 from fdem.contact.narrow import Ghosts, Patches
 from fdem.errors import CheckpointError
 from fdem.kernels import joints
@@ -16,7 +16,7 @@ from fdem.kernels import patches as kernels
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
 
-__all__ = ["adopt", "notes", "present", "reset_slip", "scatter_between"]
+__all__ = ["adopt", "closure", "notes", "present", "reset_slip", "scatter_between"]
 
 Array = NDArray[np.float64]
 
@@ -83,8 +83,19 @@ def present(c: Contacts) -> tuple[float, float, float]:
         return c.energy(), c.friction_work, c.damping_work
     work = c.work.copy()
     joints.total_work(c._area, c._work, work)
-    stored = kernels.stored_energy(c._area, c._gap, c._facing, c._memory, c._kn, c._ks, c._active, 0, len(c.patches))
-    return float(stored) + stored_in_corners(c), float(work[0]), float(work[1])
+    work[0] += 0.5 * float(c._ks @ c._lost)
+    return response.stored(c, c._memory, c._active), float(work[0]), float(work[1])
+
+
+def closure(c: Contacts) -> tuple[float, str]:
+    """Largest closure in the last `forces` over the size of the smaller block, and the names of the pair."""
+    p, size = c.patches, c.surfaces.size
+    depth = np.where(c._active > 0, -c._gap.reshape(-1, 3).min(axis=1, initial=0.0), 0.0)
+    relative = depth / np.minimum(size[c.slave], size[c.master])[p.pair]
+    if not len(relative):
+        return 0.0, ""
+    worst = int(np.argmax(relative))
+    return float(relative[worst]), c.pair_names(int(p.pair[worst]))
 
 
 def scatter_between(c: Contacts, chosen: Any, f_gp: Array) -> None:
@@ -93,7 +104,7 @@ def scatter_between(c: Contacts, chosen: Any, f_gp: Array) -> None:
     if not len(p):
         return
     mixed = chosen[c.slave[p.pair]] != chosen[c.master[p.pair]]
-    kernels.scatter(p.gp, c._active * mixed.astype(np.uint8), c._w, c._area, c._push, c._traction, f_gp)
+    kernels.scatter(p.gp, c._active * mixed.astype(np.uint8), c._w, c._area, c._push, c._foot, c._traction, f_gp)
 
 
 def reset_slip(c: Contacts) -> None:
@@ -104,12 +115,19 @@ def reset_slip(c: Contacts) -> None:
 def notes(c: Contacts) -> list[str]:
     """What the contact layer found and does, one fact a line."""
     report = c.report
+    deepest, names = closure(c)
     lines = [
         f"contacts: {int(report.get('pairs', 0))} pairs near each other at compile, {c.n_patches} patches now, "
         f"{int(c._active.sum())} closed",
         f"reference gap: {int(report.get('gaps closed', 0))} patches taken as closed, "
         f"largest gap {report.get('largest gap / size', 0.0):.2g} of the block size",
     ]
+    if deepest > 0.0:
+        lines.append(f"closure: at most {deepest:.2g} of the block size now, between {names}")
     if not c._damped:
         lines.append("contact damping: left out, no joint asks for it")
+    if not c._armed:
+        lines.append("contact moments: left out, no joint asks for them")
+    if c.curved:
+        lines.append("joints that stiffen as they close: the step follows their tangent and how fast they close")
     return lines

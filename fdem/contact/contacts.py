@@ -8,17 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.contact import startup, table, tangents
-from fdem.contact.broad import REACH, block_skins, candidate_pairs, master_first
-from fdem.contact.corners import pair_corners, stored_in_corners
+from fdem.contact import response, startup, table
+from fdem.contact.broad import REACH, block_skins, candidate_pairs, common_pairs, master_first
+from fdem.contact.corners import pair_corners
 from fdem.contact.history import inherit_history, inherit_laws, known_offsets
 from fdem.contact.laws import LawTable, stiffness_of
 from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
 from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
-from fdem.contact.wear import drifted_pairs, worn_pairs
+from fdem.contact.wear import closing, drifted_pairs, too_deep, worn_pairs
 from fdem.errors import OverlapError, SceneError
 from fdem.kernels import corners, footprints, joints, memory, upkeep
 from fdem.kernels import patches as kernels
+from fdem.kernels import response as responses
 
 __all__ = ["Contacts", "LawTable"]
 
@@ -50,6 +51,8 @@ class Contacts:
         Patches smaller than this part of the pair's largest are dropped; 0: none.
     clip_always : bool
         Cut all patches anew in every `update` (energy-exact impacts).
+    numerical : bool
+        Some stiffness was chosen by the code: closures are to be watched.
 
     Raises
     ------
@@ -75,12 +78,14 @@ class Contacts:
         names: Sequence[str] | None = None,
         prune: float = 1e-4,
         clip_always: bool = False,
+        numerical: bool = False,
     ) -> None:
         self.surfaces = Surfaces.build(blocks, x)
         s = self.surfaces
         self.laws, self.assign, self.may_touch = tuple(laws), assign, may_touch
         self.names = list(names) if names is not None else [str(i) for i in range(s.n_blocks)]
         self.prune, self.clip_always, self.gap_tolerance = prune, clip_always, gap_tolerance
+        self.numerical = numerical
         self.n_memory = max([6] + [law.memory for law in laws])
         self._geometry = FaceGeometry.of(s)
         self._skins = block_skins(s)
@@ -90,10 +95,13 @@ class Contacts:
         with np.errstate(divide="ignore"):
             self._inverse_gp = np.where(self._mobile_gp, 1.0 / np.asarray(gp_mass, dtype=float), 0.0)
             inverse_block = np.where(np.isfinite(s.mass), 1.0 / s.mass, 0.0)
-        self._inverse_block = np.where((s.affine == 1) | (s.fixed == 1), inverse_block, -1.0)
+        self._inverse_block = np.where((s.whole == 1) | (s.fixed == 1), inverse_block, -1.0)
         self.work = np.zeros(2)
         self.n_detections, self.n_cuts = 0, 0
         self._stored: float | None = 0.0
+        self._curved = [k for k, law in enumerate(self.laws) if law.curved]
+        self.curved = bool(self._curved)  # whether some joint stiffens as it closes
+        self.stiffer = False  # whether joints have changed so that the stable step must be found again
         self._trial = False  # whether the working arrays hold a trial that is not committed
         self._filled = False  # whether they hold anything: not between a cut and the next forces
         self.x_ref, self.x_check = x.copy(), x.copy()
@@ -102,8 +110,6 @@ class Contacts:
         self.ghosts = Ghosts()
         self.report: dict[str, float] = {}
         self._start(x)
-
-    # ------------------------------------------------------------------ detection
 
     def _start(self, x: Array) -> None:
         """First detection: reference gaps, intact flags, refusal of overlapping blocks."""
@@ -178,7 +184,10 @@ class Contacts:
         s = self.surfaces
         if self.clip_always:
             return self._redo(x, np.ones(s.n_blocks, bool))
-        if not upkeep.moved(s.surface_gp, s.surface_start, x, self.x_check, self._tolerance):
+        due = np.zeros(len(self.pairs), np.uint8)
+        if not closing(self, x, due) and not upkeep.moved(
+            s.surface_gp, s.surface_start, x, self.x_check, self._tolerance
+        ):
             return False
         motion = np.zeros(s.n_blocks)
         upkeep.block_motion(s.surface_gp, s.surface_start, x, self.x_ref, motion)
@@ -188,7 +197,7 @@ class Contacts:
         worn = worn_pairs(self, x)
         if not worn.any():
             return False
-        self._replace(np.flatnonzero(worn).astype(np.int32), x, self._slip_energies())
+        self._replace(np.flatnonzero(worn).astype(np.int32), x, response.slip_energies(self))
         return True
 
     def _redo(self, x: Array, refreshed: Any) -> bool:
@@ -197,21 +206,16 @@ class Contacts:
         worn, drifted = worn_pairs(self, x), drifted_pairs(self, x)
         old_pairs = self.pairs
         self.pairs = candidate_pairs(self.surfaces, x, self._skins, self.may_touch)
-        n = self.surfaces.n_blocks
-        old_key = old_pairs[:, 0].astype(np.int64) * n + old_pairs[:, 1]
-        key = self.pairs[:, 0].astype(np.int64) * n + self.pairs[:, 1]
-        new_index = np.full(len(old_key), -1, np.int32)
-        _, at_old, at_new = np.intersect1d(old_key, key, assume_unique=True, return_indices=True)
-        new_index[at_old] = at_new
+        at_old, at_new, new_index = common_pairs(old_pairs, self.pairs)
         due = refreshed[self.pairs[:, 0]] | refreshed[self.pairs[:, 1]]
-        known = np.zeros(len(key), bool)
+        known = np.zeros(len(due), bool)
         known[at_new] = True
         due[at_new] &= drifted[at_old]
         due |= ~known
         due[at_new] |= worn[at_old] > 0
         self._orient()
         there = new_index[self.patches.pair] >= 0
-        slip = self._slip_energies()
+        slip = response.slip_energies(self)
         self._lose_slip(float(slip[~there].sum()))
         slip = slip[there]
         self.patches = self.patches.take(np.flatnonzero(there))
@@ -224,15 +228,6 @@ class Contacts:
         self.n_detections += 1
         self._replace(np.flatnonzero(due).astype(np.int32), x, slip)
         return True
-
-    def _slip_energies(self) -> Array:
-        """Elastic slip energy (n_patches,) of the last committed state [J]."""
-        p = self.patches
-        length = (p.memory_old[:, :3] ** 2).sum(axis=1)
-        energies: Array = 0.5 * self._ks * (self._area * length).reshape(-1, 3).sum(axis=1) * (p.active_old > 0)
-        if self._corner is not None:
-            energies *= self._corner[4][p.pair]
-        return energies
 
     def _lose_slip(self, energy: float) -> None:
         """Count elastic slip energy that goes with its patches as dissipated [J] (negative: it came with new ones)."""
@@ -258,6 +253,7 @@ class Contacts:
             new = cut.patches
             area = inherit_history(self.surfaces, old, new, x)
             taken = memory.slip_energy(area, new.memory_old, stiffness_of(self.laws, new)[1], new.active_old)
+            taken += float(response.held_energy(self.laws, new).sum())
             self._lose_slip(float(slip[touched].sum()) - taken)
             merged, ids = cut.patches, np.arange(len(cut.patches))
             if len(kept):
@@ -284,10 +280,12 @@ class Contacts:
         self._inverse = np.column_stack(
             [self._inverse_block[self.slave[p.pair]], self._inverse_block[self.master[p.pair]]]
         )
-        self._damped = any(
-            law.damped and self._law_start[k + 1] > self._law_start[k] for k, law in enumerate(self.laws)
-        )
+        present = [law for k, law in enumerate(self.laws) if self._law_start[k + 1] > self._law_start[k]]
+        self._damped, self._armed = any(law.damped for law in present), any(law.arms for law in present)
         self._kn, self._ks = stiffness_of(self.laws, p)
+        self._brittle = response.brittle_of(self.laws, p)
+        self._fragile = bool(self._brittle.any())
+        self._bound = self._kn.copy()
         self._corner = pair_corners(self)
         self._points, self._active = p.points_old.copy(), np.zeros(n, np.uint8)
         self._memory_start = np.zeros((3 * n, self.n_memory))
@@ -295,8 +293,12 @@ class Contacts:
         self._w, self._gap, self._area = np.zeros((3 * n, 7)), np.zeros(3 * n), np.zeros(3 * n)
         self._align, self._normal, self._push = np.zeros(3 * n), np.zeros((3 * n, 3)), np.zeros((n, 3))
         self._slip, self._mass, self._facing = np.zeros((3 * n, 3)), np.zeros(3 * n), np.zeros(n)
-        self._pair_area, self._pair_normal = np.zeros(len(self.pairs)), np.zeros((len(self.pairs), 3))
+        self._cluster = p.clusters()
+        cluster_normal = np.zeros((int(self._cluster.max(initial=-1)) + 1, 3))
+        self._pair_area, self._foot, self._lost = np.zeros(len(self.pairs)), np.zeros((n, 5)), np.zeros(n)
         self._traction, self._work = np.zeros((3 * n, 4)), np.zeros((3 * n, 2))
+        self._arm = np.zeros((3 * n if self._armed else 0, 3))
+        self._response = np.zeros((3 * n if any(law.closure is not None for law in present) else 0, 4))
         self._state = np.full(3 * n, joints.OPEN, np.int8)
         tolerance = 0.25 * self._skins
         reach = 0.25 * np.minimum(p.reach, p.normal_reach)
@@ -307,16 +309,15 @@ class Contacts:
         ):  # fmt: skip
             np.minimum.at(tolerance, blocks[pair], r)
         self._tolerance = tolerance
-        depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._partner: Ints | None = None
         self._close_arguments = (p.gp, p.start, p.corners, p.offset, p.flags, p.limit, p.ref_points, p.ref_ratio)
-        self._closed = (self._area, self._gap, depth, face_normal)
+        self._closed = (self._area, self._gap, self._depth, face_normal)
         self._face_normal = face_normal
         self._rows = (
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
-            self._pair_area, self._pair_normal, depth, face_normal,
+            self._pair_area, cluster_normal, self._foot, self._depth, face_normal,
         )  # fmt: skip
-
-    # ------------------------------------------------------------------ forces
 
     def forces(self, x: Array, x_old: Array, dt: float, f_gp: Array) -> None:
         """Add the contact forces on gridpoints; the trial memory starts from the committed one every time.
@@ -342,20 +343,21 @@ class Contacts:
             *self._close_arguments, x, p.active_old, p.memory_old, self._points, self._active, *self._closed
         )
         if deep >= 0:
-            raise OverlapError(
-                f"blocks {self.pair_names(p.pair[deep])} overlap by {-self._gap[3 * deep : 3 * deep + 3].min():.3g} m"
-                f", more than their surfaces describe ({p.limit[deep]:.3g} m); joint too soft or step too large"
-            )
-        kernels.fill_rows(p.gp, p.flags, p.pair, self._thick, x, x_old, self._points, self._active, *self._rows)
+            raise OverlapError(too_deep(self, deep))
+        kernels.fill_rows(
+            p.gp, p.pair, self._cluster, self._thick, x, x_old, self._points, self._active, *self._rows
+        )  # fmt: skip
         memory.carry_memory(
-            p.gp, p.flags, x, x_old, p.points_old, p.active_old, p.memory_old, self._points, self._active,
-            self._memory_start,
+            p.gp, x, x_old, p.points_old, p.active_old, p.area_old, p.memory_old, self._points, self._active,
+            self._area, self._memory_start, self._lost,
         )  # fmt: skip
         if self._damped:
             kernels.reduced_mass(
                 p.gp, self._active, p.pair, self._pair_area, self._inverse, self._inverse_gp, self._area, self._w,
                 self._mass,
             )  # fmt: skip
+        if self._armed:
+            responses.arms(p.gp, self._points, self._active, x, self._arm)
         if self._corner is not None:
             corners.corner_energy(p.pair, self._active, self._gap, self._area, self._align, *self._corner)
         for k, law in enumerate(self.laws):
@@ -363,8 +365,8 @@ class Contacts:
             if hi > lo:
                 law.sweep(
                     3 * lo, 3 * hi, dt, self._gap, self._push, self._slip, self._normal, self._align, self._area,
-                    self._mass, p.prop, law.props, self._memory_start, self._memory, self._traction, self._work,
-                    self._state,
+                    self._mass, self._arm, p.prop, law.props, self._memory_start, self._memory, self._traction,
+                    self._work, self._state,
                 )  # fmt: skip
         if self._corner is not None:
             _, _, _, slopes, factor, energy = self._corner
@@ -373,7 +375,8 @@ class Contacts:
                 self._traction, self._work, energy,
             )  # fmt: skip
         self._trial, self._filled = True, True
-        kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._traction, f_gp)
+        response.look(self)
+        kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._foot, self._traction, f_gp)
 
     def commit(self) -> None:
         """Make the last trial the history, and add its dissipation to `work`."""
@@ -382,6 +385,10 @@ class Contacts:
             self._stored = 0.0
             return
         joints.total_work(self._area, self._work, self.work)
+        self.work[0] += 0.5 * float(self._ks @ self._lost)
+        p.area_old[:] = self._area[::3]
+        if self._fragile:
+            responses.fail(self._active, p.active_old, self._memory, p.memory_old, self._brittle, p.failure)
         # the exchanged arrays are written completely by the next `forces`
         p.memory_old, self._memory = self._memory, p.memory_old
         p.points_old, self._points = self._points, p.points_old
@@ -392,12 +399,7 @@ class Contacts:
     def energy(self) -> float:
         """Elastic energy stored in the joints in the last committed state [J]."""
         if self._stored is None:
-            p = self.patches
-            self._stored = float(
-                kernels.stored_energy(
-                    self._area, self._gap, self._facing, p.memory_old, self._kn, self._ks, p.active_old, 0, len(p)
-                )
-            ) + stored_in_corners(self)
+            self._stored = response.stored(self, self.patches.memory_old, self.patches.active_old)
         return self._stored
 
     @property
@@ -410,28 +412,14 @@ class Contacts:
         """Energy dissipated by the joints' dashpots, committed [J]."""
         return float(self.work[1])
 
-    def points(self, x: Array) -> Array:
-        """Places of the three points of every whole patch (3 n_patches, 3) [m]."""
-        return table.whole_points(self.patches, x)
-
-    def signature(self) -> bytes:
-        """State of all contact points at the last trial."""
-        return self._active.tobytes() + self._state.tobytes()
-
     @property
     def n_patches(self) -> int:
         """Number of patches, open ones included."""
         return len(self.patches)
 
-    # ------------------------------------------------------------------ views, state
-
     def stiffness(self, x: Array) -> tuple[Ints, Array, Array, Array, Array]:
         """Rows of all whole patches; see `table.stiffness`."""
         return table.stiffness(self, x)
-
-    def tangent(self, x: Array, dt: float) -> tuple[Ints, Array]:
-        """Derivatives of the last forces by positions, per patch; see `tangents.tangent`."""
-        return tangents.tangent(self, x, dt)
 
     def potential_k_gp(self, x: Array, mobile: Any) -> Array:
         """Upper bound of the contact stiffness per gridpoint (n_gp,) [N/m]; see `table.potential_k_gp`."""
@@ -440,6 +428,10 @@ class Contacts:
     def table(self, x: Array) -> dict[str, Any]:
         """Contact table as a dict of arrays; see `table.contact_table`."""
         return table.contact_table(self, x)
+
+    def pace(self, xdot: Array, change: Array) -> Array:
+        """Step (n_blocks,) [s] in which stiffening joints close as far as they may; see `response.pace`."""
+        return response.pace(self, xdot, change)
 
     def preload(self, x: Array, stress: Array) -> None:
         """Start contact tractions from a stress field; see `table.preload`."""

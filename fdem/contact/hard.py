@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fdem.contact.proximal import Problem, Rows, Solver
 from fdem.contact.table import frames
 from fdem.errors import UnsupportedError
-from fdem.contact.impulses import Problem, Solver
 from fdem.kernels import cones, joints, nonsmooth
 from fdem.kernels import patches as kernels
 
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
 
-__all__ = ["Points", "Solver", "contact_points", "point_rows", "problem", "table"]
+__all__ = ["Points", "Problem", "Solver", "contact_points", "point_rows", "table"]
 
 Array = NDArray[np.float64]
 
@@ -64,6 +64,10 @@ class Points:
     def __len__(self) -> int:
         return len(self.pair)
 
+    def take(self, keep: Any) -> Points:
+        """Points of a mask."""
+        return self if keep.all() else Points(*(getattr(self, f.name)[keep] for f in fields(self)))
+
     def matched(self, old: Points, size: Array) -> Any:
         """Nearest old point of the same pair (n,) within `NEAR` of the pairs' `size`; -1: none."""
         if len(old) == len(self) and np.array_equal(old.pair, self.pair):
@@ -90,7 +94,7 @@ def contact_points(c: Contacts, x: Array) -> Points:
     """
     p, s = c.patches, c.surfaces
     facing = (p.flags & kernels.FACING) > 0
-    most = int(len(p.corners))
+    most = len(p.corners)
     patch, weight, gap = np.zeros(most, np.int64), np.zeros((most, 2)), np.zeros(most)
     n = nonsmooth.corner_points(p.gp, p.start, p.corners, p.offset, facing, x, patch, weight, gap)
     patch, weight, gap = patch[:n], weight[:n], gap[:n]
@@ -102,7 +106,7 @@ def contact_points(c: Contacts, x: Array) -> Points:
     same = (p.pair[patch[order]][1:] == p.pair[patch[order]][:-1]) & (cell[order][1:] == cell[order][:-1]).all(axis=1)
     first = order[np.concatenate([[True], ~same])] if n else order
     patch, weight, gap, position = patch[first], weight[first], gap[first], position[first]
-    normal, align, area = _normals(c, x)
+    normal, area = _normals(c, x)
     count = np.bincount(patch, minlength=len(p))
     points = np.repeat(weight[:, None], 3, axis=1)
     w = np.zeros((3 * len(patch), 7))
@@ -155,8 +159,8 @@ def table(c: Contacts, points: Points, force: Array, slip: Array) -> dict[str, A
     }
 
 
-def point_rows(points: Points, placement: Any, mobile: Any) -> tuple[Any, Any, Array]:
-    """Rows of relative velocities: start (n + 1,), unknowns, values (entries, 3); see kernels/cones.py.
+def point_rows(points: Points, placement: Any, mobile: Any) -> Rows:
+    """Rows of relative velocities over the unknowns.
 
     Parameters
     ----------
@@ -174,19 +178,8 @@ def point_rows(points: Points, placement: Any, mobile: Any) -> tuple[Any, Any, A
             start, dof, J,
         )  # fmt: skip
         if found <= most:
-            return start, dof[:found], J[:found]
+            return Rows(start, dof[:found], J[:found])
         most = found
-
-
-def problem(
-    start: Any, dof: Any, J: Array, Jf: Array, A: Any, inverse: Any, rows: Any, free: Array, points: Points, h: float
-) -> Problem:
-    """Contact problem of `points` over a step of `h` [s], without gaps and restitution; see `Problem`."""
-    share = points.area * h
-    return Problem(
-        start, dof, J, Jf, A, inverse, rows, free, np.zeros(len(points)), points.friction,
-        points.cohesion * share, points.tension * share,
-    )  # fmt: skip
 
 
 def _hard(c: Contacts, k: int) -> Array:
@@ -196,8 +189,8 @@ def _hard(c: Contacts, k: int) -> Array:
     return law.hard
 
 
-def _normals(c: Contacts, x: Array) -> tuple[Array, Array, Array]:
-    """Contact normal of every patch (from master to slave), -n_a.n_f, and its whole area."""
+def _normals(c: Contacts, x: Array) -> tuple[Array, Array]:
+    """Contact normal of every patch (from master to slave), and its whole area."""
     p = c.patches
     cross = [np.cross(x[p.gp[:, o + 1]] - x[p.gp[:, o]], x[p.gp[:, o + 2]] - x[p.gp[:, o]]) for o in (0, 3)]
     double = np.linalg.norm(cross[0], axis=1)
@@ -212,4 +205,4 @@ def _normals(c: Contacts, x: Array) -> tuple[Array, Array, Array]:
         length = np.linalg.norm(total, axis=1)[p.pair[loose]]
         good = length > 0.0
         normal[loose[good]] = total[p.pair[loose[good]]] / length[good, None]
-    return normal, align, area
+    return normal, area

@@ -67,7 +67,7 @@ def inherit_laws(old: Patches, new: Patches, n_faces: int) -> Any:
 
 
 def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) -> Array:
-    """Fill points, activity and memory of `new` patches from `old` ones of the same pairs (CONTACT.md 3.7).
+    """Fill points, activity, memory and failures of `new` patches from `old` ones of the same pairs (CONTACT.md 3.7).
 
     Returns
     -------
@@ -79,10 +79,6 @@ def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) ->
         return area
     order = np.lexsort((old.face_m, old.face_s, old.pair))
     old = old.take(order)
-    old_face = old.pair.astype(np.int64) * surfaces.n_faces + old.face_s
-    new_face = new.pair.astype(np.int64) * surfaces.n_faces + new.face_s
-    begin = np.searchsorted(old_face, new_face, side="left").astype(np.int32)
-    end = np.searchsorted(old_face, new_face, side="right").astype(np.int32)
     at, found = _match(
         old.face_s.astype(np.int64) * surfaces.n_faces + old.face_m,
         new.face_s.astype(np.int64) * surfaces.n_faces + new.face_m,
@@ -95,10 +91,18 @@ def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) ->
         new.gp, new.start, new.corners, new.offset, bonded, new.ref_points, new.ref_ratio, x, new.points_old,
         new.active_old, area,
     )  # fmt: skip
-    e1, e2 = x[new.gp[:, 1]] - x[new.gp[:, 0]], x[new.gp[:, 2]] - x[new.gp[:, 0]]
-    metric = np.column_stack([np.einsum("ij,ij->i", *p) for p in ((e1, e1), (e1, e2), (e2, e2))])
+    new.area_old[:] = area / 3.0
     memory.inherit(
-        new.face_m, new.points_old, metric, begin, end, old.face_m,
-        old.points_old, old.active_old, old.memory_old, new.active_old, new.memory_old,
+        new.pair, new.face_s, new.face_m, new.gp, new.points_old, new.active_old, new.memory_old, old.pair, old.face_s,
+        old.face_m, old.gp, old.points_old, old.active_old, old.memory_old, x,
     )  # fmt: skip
+    # failures stay with two faces; where a face meets a new one without a bond, what has failed on it goes along
+    old_face = old.pair.astype(np.int64) * surfaces.n_faces + old.face_s
+    new_face = new.pair.astype(np.int64) * surfaces.n_faces + new.face_s
+    begin, end = (np.searchsorted(old_face, new_face, side=side) for side in ("left", "right"))
+    worst = np.zeros(len(old) + 1, np.uint8)
+    np.maximum.at(worst, np.searchsorted(old_face, old_face), old.failure.max(axis=1, initial=0))
+    new.failure[found] = old.failure[at[found]]
+    loose = (new.failure == 0) & (new.memory_old[:, 3].reshape(-1, 3) <= 0.0) & (end > begin)[:, None]
+    new.failure[loose] = np.repeat(worst[begin], 3).reshape(-1, 3)[loose]
     return area

@@ -21,6 +21,8 @@ Ints = NDArray[np.int32]
 ALIGNED = 0.99  # -n_a.n_f above which two faces lie against each other
 STRIP = 0.02  # -n_a.n_f below which a patch is a side strip: force only
 TRAVEL = 1e-3  # of the square root of the pair's largest patch: motion after which walls are cut anew
+EDGE_TRAVEL = 0.02  # of its width: closure after which a patch along an edge is cut anew
+TOUCH = 1e-5  # of the slave's size: distance below which two patches touch
 LATENT_TRAVEL = 1e-4  # of it: least motion into the face before side strips that were left out are looked at again
 
 
@@ -49,13 +51,24 @@ class Patches:
     joint: Ints
     points_old: Array
     active_old: NDArray[np.uint8]
+    area_old: Array
     memory_old: Array
+    failure: NDArray[np.uint8]
     w_clip: Array
     reach: Array
     normal_reach: Array
+    cluster: Ints
+    metric: Array
 
     def __len__(self) -> int:
         return len(self.pair)
+
+    def clusters(self) -> Ints:
+        """Numbers (n,) of the sets of patches that hang together; `cluster` counts within a pair."""
+        if not self.cluster.any():
+            return self.pair
+        key = self.pair.astype(np.int64) * (int(self.cluster.max()) + 1) + self.cluster
+        return np.unique(key, return_inverse=True)[1].astype(np.int32)
 
     def take(self, ids: Any) -> Patches:
         """The patches `ids` (int array), in that order."""
@@ -89,8 +102,9 @@ class Patches:
             pair=i, face_s=i, face_m=i, start=np.zeros(1, np.int32), corners=np.zeros((0, 2)), margin=z,
             gp=np.zeros((0, 7), np.int32), ref_points=np.zeros((0, 3, 2)), ref_ratio=z, offset=np.zeros((0, 3)),
             flags=np.zeros(0, np.uint8), limit=z, law=i, prop=i, joint=i, points_old=np.zeros((0, 3, 2)),
-            active_old=np.zeros(0, np.uint8), memory_old=np.zeros((0, memory)), w_clip=np.zeros((0, 7)), reach=z,
-            normal_reach=z,
+            active_old=np.zeros(0, np.uint8), area_old=z, memory_old=np.zeros((0, memory)),
+            failure=np.zeros((0, 3), np.uint8), w_clip=np.zeros((0, 7)), reach=z, normal_reach=z, cluster=i,
+            metric=np.zeros((0, 3)),
         )  # fmt: skip
 
 
@@ -129,6 +143,12 @@ class Cut:
     centre: Array
 
 
+def metric_of(gp: Ints, x: Array) -> Array:
+    """Squares and product (n, 3) of two edges of the slaves' reference triangles: g11, g12, g22 [m2]."""
+    e1, e2 = x[gp[:, 1]] - x[gp[:, 0]], x[gp[:, 2]] - x[gp[:, 0]]
+    return np.column_stack([np.einsum("ij,ij->i", *p) for p in ((e1, e1), (e1, e2), (e2, e2))])
+
+
 def cut_pairs(
     surfaces: Surfaces, geometry: FaceGeometry, which: Ints, slave: Ints, master: Ints, window: Array, x: Array,
     offsets: Any, prune: float, memory: int,
@@ -148,15 +168,16 @@ def cut_pairs(
     blocks = np.unique(np.concatenate([slave[which], master[which]])).astype(np.int32)
     geometry.refresh(s, x, blocks)
     size = np.minimum(s.size[slave], s.size[master])[which]
+    most = np.minimum(s.most[slave], s.most[master])[which]
     g = geometry
     near = faces.face_pairs(
         slave[which], master[which], window[which], size, s.face_start, s.corner_start, s.limit, s.convex, g.corner_x,
         g.normal, g.lower, g.upper, g.block_lower, g.block_upper,
     )  # fmt: skip
     key, corners, margin, miss, miss_face, too_deep = clipping.clip_faces(
-        *near, master[which], window[which], size, int(np.diff(s.corner_start).max()), s.face_start, s.corner_start,
-        s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.lower,
-        g.upper,
+        *near, master[which], window[which], size, most, int(np.diff(s.corner_start).max()), s.face_start,
+        s.corner_start, s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind,
+        g.lower, g.upper,
     )  # fmt: skip
     local, face_s, face_m = np.ascontiguousarray(key[:, :3].T)
     start = np.r_[0, key[:, 3]].astype(np.int32)
@@ -174,46 +195,66 @@ def cut_pairs(
     p = Patches(
         pair=pair, face_s=face_s, face_m=face_m, start=start, corners=corners, margin=margin, gp=gp,
         ref_points=np.zeros((n, 3, 2)), ref_ratio=np.zeros(n), offset=offsets(pair, face_s, face_m),
-        flags=np.zeros(n, np.uint8), limit=np.minimum(s.limit[face_m], size[local]), law=np.zeros(n, np.int32),
+        flags=np.zeros(n, np.uint8), limit=np.minimum(s.limit[face_m], most[local]), law=np.zeros(n, np.int32),
         prop=np.zeros(n, np.int32), joint=np.zeros(n, np.int32), points_old=np.zeros((n, 3, 2)),
-        active_old=np.zeros(n, np.uint8), memory_old=np.zeros((3 * n, memory)), w_clip=np.zeros((3 * n, 7)),
-        reach=np.zeros(n), normal_reach=np.zeros(n),
+        active_old=np.zeros(n, np.uint8), area_old=np.zeros(n), memory_old=np.zeros((3 * n, memory)),
+        failure=np.zeros((n, 3), np.uint8),
+        w_clip=np.zeros((3 * n, 7)), reach=np.zeros(n), normal_reach=np.zeros(n), cluster=np.zeros(n, np.int32),
+        metric=metric_of(gp, x),
     )  # fmt: skip
     footprints.reference_points(start, corners, p.ref_points, p.ref_ratio)
-    sizes = [np.zeros(n) for _ in range(4)]
+    area, closed, align, depth = sizes = [np.zeros(n) for _ in range(4)]
     plane_depth, centre = np.zeros((n, 3)), np.zeros((n, 3))
     footprints.measure(gp, start, corners, p.offset, x, *sizes, plane_depth, centre)
-    area, closed, align, depth = sizes
     # side strips are weighed by what is closed: they exist only as far as the blocks overlap
     facing, keep = align > STRIP, np.zeros(n, bool)
     largest, largest_closed, nearest = np.zeros(len(which)), np.zeros(len(which)), miss.copy()
     upkeep.prune(local, facing, area, closed, margin, prune, keep, largest, largest_closed, nearest)
     travel = np.sqrt(np.maximum(largest, 0.25 * np.where(np.isfinite(size), size, 0.0) ** 2))
-    # or a strip that was left out comes to weigh
-    latent = np.full(len(which), np.inf)
-    footprints.latent_reach(
-        local, keep | facing, start, corners, plane_depth - p.offset, area, p.ref_ratio, prune * largest_closed, latent
-    )
-    latent = np.maximum(latent, LATENT_TRAVEL * travel)
-    # face against face: strips carry no normal force, so closure alone is no reason (CONTACT.md 3.9)
-    flat = keep & (align > ALIGNED)
-    latent[local[flat]] = 0.25 * window[which[local[flat]]]
-    p.flags[flat] |= kernels.FLAT
     p.reach[:] = (nearest + TRAVEL * travel)[local]
-    p.normal_reach[:] = latent[local]
+    p.flags[keep & (align > ALIGNED)] |= kernels.FLAT
+    p.normal_reach[:] = _normal_reach(
+        p, local, keep, facing, prune * largest_closed, travel, window[which], size, sizes, plane_depth
+    )
+    footprints.along_edges(
+        keep & facing, face_m, gp, start, corners, x, area, depth, s.corner_start, g.corner_x, g.normal, g.kind,
+        EDGE_TRAVEL, p.flags, p.normal_reach,
+    )  # fmt: skip
     p.flags[facing] |= kernels.FACING
     empty = np.ones(len(which), bool)
     empty[local[keep]] = False
     dropped = np.flatnonzero(~keep & empty[local])
     ghosts = _ghosts(s, which, empty, miss_face, nearest + TRAVEL * travel, x, p, local, dropped, area, depth)
     ids = np.flatnonzero(keep)
-    if len(ids) < n:
-        p = p.take(ids)
-    thick = s.has_behind[p.face_m]
-    kernels.weights_at(p.gp, thick, p.ref_points, x, p.w_clip)
+    p = p.take(ids) if len(ids) < n else p
+    # where corners meet, two places agree within what merging faces moves them
+    upkeep.clusters(p.pair, align[ids] > ALIGNED, p.gp, p.start, p.corners, x, TOUCH * s.size[slave], p.cluster)
+    kernels.weights_at(p.gp, s.has_behind[p.face_m], p.ref_points, x, p.w_clip)
     return Cut(
         p, ghosts, which[too_deep == 1], area[ids], closed[ids], align[ids], depth[ids], plane_depth[ids], centre[ids]
     )
+
+
+def _normal_reach(
+    p: Patches, local: Ints, keep: Any, facing: Any, level: Array, travel: Array, window: Array, size: Array,
+    sizes: list[Array], plane_depth: Array,
+) -> Array:  # fmt: skip
+    """How far [m] every patch may go into its master face before its pair is cut anew; `local` (n,): its pair."""
+    area, closed, _, depth = sizes
+    # until a strip that was left out comes to weigh
+    latent = np.full(len(travel), np.inf)
+    footprints.latent_reach(
+        local, keep | facing, p.start, p.corners, plane_depth - p.offset, area, p.ref_ratio, level, latent
+    )
+    latent = np.maximum(latent, LATENT_TRAVEL * travel)
+    # a strip gains closed area as the pair slides into it: no more force than TRAVEL of the pair's
+    volume = np.bincount(local[facing], 0.5 * (closed * np.maximum(depth, 0.0))[facing], len(travel))
+    slide = np.sqrt(2.0 * TRAVEL * volume / np.where(np.isfinite(size), size, 1.0))
+    reach = np.where(~facing & (slide[local] > 0.0), np.minimum(latent, slide)[local], latent[local])
+    # face against face: strips carry no normal force, so closure alone is no reason (CONTACT.md 3.9)
+    flat = (p.flags & kernels.FLAT) > 0
+    reach[flat] = 0.25 * window[local[flat]]
+    return reach
 
 
 def _ghosts(

@@ -23,7 +23,9 @@ GAP = 1e-3  # default gap tolerance, of the smaller block's size
 PARALLEL = float(np.cos(np.radians(15.0)))
 TOUCH = 1e-6  # of the size: gap below which a contact exists at compile when the gap tolerance is off
 # what the last `forces` left behind: energy() and table() read it
-_LAST = ("active", "w", "gap", "area", "align", "normal", "push", "facing", "traction", "state")
+_LAST = (
+    "active", "w", "gap", "area", "align", "normal", "push", "foot", "depth", "facing", "traction", "state", "bound",
+)  # fmt: skip
 
 
 def close_gaps(c: Contacts, cut: Cut) -> dict[str, float]:
@@ -45,6 +47,7 @@ def close_gaps(c: Contacts, cut: Cut) -> dict[str, float]:
     fit = (cut.align > PARALLEL) & (shallow <= tolerance)
     if c.gap_tolerance is None or c.gap_tolerance > 0.0:
         p.offset[fit] = cut.plane_depth[fit]
+        p.flags[fit] &= np.uint8(255 - kernels.AJAR)  # closed by definition, as wide as the faces
         strip = ~fit & (cut.depth > 0.0) & (cut.depth <= tolerance)  # beside a face that was closed: not to push either
         p.offset[strip] = cut.depth[strip, None]
         bad = np.flatnonzero((cut.depth > tolerance) & ~fit & ((p.flags & kernels.FACING) > 0))

@@ -25,6 +25,7 @@ Ints = NDArray[np.int32]
 SHARP_ZONED = 0.9  # cosine above which two zone triangles count as one smooth surface
 SHARP_AFFINE = 1.0 - 1e-12
 DEPTH_FRACTION = 0.25  # of the local thickness: where contact stops being a boundary phenomenon
+ROOM_FRACTION = 0.5  # of the depth of the deepest point, which is half the thickness between parallel faces
 LEAST_DEPTH = 0.01  # of the block size: depth admitted even behind a facet at the tip of a wedge
 
 
@@ -35,7 +36,7 @@ class BlockSurface:
     Parameters
     ----------
     loops : (k, 3) array or list of int arrays
-        Global gridpoint ids of every face, counter-clockwise seen from outside.
+        Global gridpoint ids of every face, counter-clockwise seen from outside; empty for spheres.
     tags : (k,) int array
         Tag of every face, -1 for none.
     affine : bool
@@ -51,6 +52,8 @@ class BlockSurface:
         Mass [kg]; infinite for fixed blocks.
     behind : (k,) int array, optional
         Per face a gridpoint off its plane (fourth vertex of the zone). None: chosen.
+    whole : bool, optional
+        The block has few unknowns: dashpots move all its mass, not that of gridpoints (affine blocks always do).
     """
 
     loops: Any
@@ -61,6 +64,7 @@ class BlockSurface:
     volume: float
     mass: float
     behind: Any = None
+    whole: bool = False
 
 
 @dataclass
@@ -83,11 +87,12 @@ class Surfaces:
         0 where no gridpoint lies off the plane; its weight is then 0.
     limit : (n_faces,)
         Largest admissible depth [m]; infinite on open surfaces.
-    convex, affine, open, fixed : (n_blocks,) uint8
+    convex, affine, open, fixed, whole : (n_blocks,) uint8
     sharp : (n_blocks,)
         Cosine of the angle below which an edge bounds a face's cell.
-    size, volume, mass : (n_blocks,)
-        Cube root of the volume [m], volume [m^3], mass [kg].
+    size, room, most, volume, mass : (n_blocks,)
+        Cube root of the volume [m], depth of the deepest point [m], largest admissible depth of contact [m], volume
+        [m^3], mass [kg].
     surface_gp, surface_start : int32
         Gridpoints on the surface of every block.
     """
@@ -106,8 +111,11 @@ class Surfaces:
     affine: NDArray[np.uint8]
     open: NDArray[np.uint8]
     fixed: NDArray[np.uint8]
+    whole: NDArray[np.uint8]
     sharp: Array
     size: Array
+    room: Array
+    most: Array
     volume: Array
     mass: Array
     surface_gp: Ints
@@ -138,12 +146,12 @@ class Surfaces:
         MeshError
             A block has no face or a degenerate one.
         """
-        parts = [_faces_of(b, x, index) for index, b in enumerate(blocks)]
+        parts = [_faces_of(b, x, index) if len(b.loops) else _NO_FACES for index, b in enumerate(blocks)]
         counts = [len(p.ref) for p in parts]
         corners = [len(p.corner_w) for p in parts]
         first_face = np.r_[0, np.cumsum(counts)]
         first_corner = np.r_[0, np.cumsum(corners)]
-        surface_gp = [np.unique(p.vertices) for p in parts]
+        surface_gp = [p.vertices if p is _NO_FACES else np.unique(p.vertices) for p in parts]
 
         def cat(arrays: list[Any], dtype: Any = np.int32) -> Any:
             return np.ascontiguousarray(np.concatenate(arrays), dtype=dtype)
@@ -169,8 +177,11 @@ class Surfaces:
             affine=np.array([b.affine for b in blocks], np.uint8),
             open=is_open,
             fixed=np.array([b.fixed for b in blocks], np.uint8),
+            whole=np.array([b.affine or b.whole for b in blocks], np.uint8),
             sharp=np.where([b.affine for b in blocks], SHARP_AFFINE, SHARP_ZONED).astype(float),
             size=np.where(is_open, np.inf, np.cbrt(np.where(is_open, 1.0, volume))),
+            room=np.zeros(len(blocks)),
+            most=np.zeros(len(blocks)),
             volume=np.where(is_open, np.inf, volume),
             mass=np.array([np.inf if b.fixed else b.mass for b in blocks], dtype=float),
             surface_gp=cat(surface_gp),
@@ -207,8 +218,14 @@ class Surfaces:
         for _ in range(4):  # a triangle beside an acute edge shares the thickness of its plane
             np.maximum.at(self.limit, owner[flat], self.limit[self.neighbour[flat]])
         self.limit *= DEPTH_FRACTION
-        size = np.where(np.isfinite(self.size), self.size, 0.0)
-        np.maximum(self.limit, LEAST_DEPTH * size[self.face_block], out=self.limit)
+        # behind the faces of a tetrahedron no point is as deep as a quarter of its height
+        kernels.deepest(
+            self.face_start, self.corner_start, geo.corner_x, geo.normal, self.convex, self.open, self.room
+        )  # fmt: skip
+        least = LEAST_DEPTH * np.where(np.isfinite(self.size), self.size, 0.0)
+        self.most[:] = np.maximum(ROOM_FRACTION * self.room, least)
+        np.maximum(self.limit, least[self.face_block], out=self.limit)
+        np.minimum(self.limit, self.most[self.face_block], out=self.limit)
 
 
 @dataclass
@@ -256,9 +273,17 @@ class _Faces:
     vertices: Ints
 
 
+def _no_faces() -> _Faces:
+    """Of a sphere, which meets others in its own way."""
+    none = np.zeros(0, np.int32)
+    zero = np.zeros(1, np.int32)
+    return _Faces(none.reshape(0, 4), none.astype(np.uint8), none, none, zero, np.zeros((0, 2)), none, none)
+
+
+_NO_FACES = _no_faces()
+
+
 def _faces_of(block: BlockSurface, x: Array, index: int) -> _Faces:
-    if len(block.loops) == 0:
-        raise MeshError(f"block {index}: its surface has no face")
     return _affine_faces(block, x, index) if block.affine else _triangle_faces(block, index)
 
 

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdem.contact import response
 from fdem.contact.corners import felt_areas
+from fdem.contact.laws import COMMON
 from fdem.kernels import joints, upkeep
 from fdem.kernels import patches as kernels
 
@@ -56,7 +58,7 @@ def whole_points(p: Patches, x: Array) -> Array:
 
 
 def stiffness(c: Contacts, x: Array) -> tuple[Any, Array, Array, Array, Array]:
-    """Rows of all patches as if closed.
+    """Rows of all patches as if closed, with the tangent stiffness of the present closure.
 
     Returns
     -------
@@ -73,7 +75,14 @@ def stiffness(c: Contacts, x: Array) -> tuple[Any, Array, Array, Array, Array]:
     area = felt_areas(c, _areas(c, x)) / 3.0
     normal = _unit(_face_normals(p.gp, x, 1))
     frame = np.repeat(frames(normal), 3, axis=0)
-    return np.repeat(p.gp, 3, axis=0), w, frame, np.repeat(c._kn * area, 3), np.repeat(c._ks * area, 3)
+    parts = [(p.gp, w, frame, response.stiffness_now(c, x) * area, c._ks * area)]
+    for ids, points, kn, ks in response.couples(c, x):
+        more = np.zeros((3 * len(ids), 7))
+        kernels.weights_at(p.gp[ids], c._thick[ids], points, x, more)
+        rows = (3 * ids[:, None] + np.arange(3)).ravel()
+        parts.append((p.gp[ids], more, frame[rows], kn * area[ids], ks * area[ids]))
+    gp, w, frame, kn, ks = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return np.repeat(gp, 3, axis=0), w, frame, np.repeat(kn, 3), np.repeat(ks, 3)
 
 
 def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
@@ -86,9 +95,15 @@ def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
     kernels.weights_at(p.gp, c._thick, p.ref_points, x, w)
     affine = c.surfaces.affine
     soft = 1 - np.column_stack([affine[c.slave[p.pair]], affine[c.master[p.pair]]])
-    facing = (p.flags & kernels.FACING) > 0
-    k = np.repeat(np.where(facing, np.maximum(c._kn, c._ks), c._kn) * felt_areas(c, _areas(c, x)) / 3.0, 3)
-    upkeep.gridpoint_stiffness(p.gp, w, k, np.asarray(mobile, dtype=bool), soft.astype(np.uint8), out)
+    kn, area = response.stiffness_now(c, x), felt_areas(c, _areas(c, x)) / 3.0
+    mobile, soft = np.asarray(mobile, dtype=bool), soft.astype(np.uint8)
+    k = np.repeat(np.maximum(kn, c._ks) * area, 3)
+    upkeep.gridpoint_stiffness(p.gp, w, k, mobile, soft, out)
+    for ids, points, kn, ks in response.couples(c, x):
+        more = np.zeros((3 * len(ids), 7))
+        kernels.weights_at(p.gp[ids], c._thick[ids], points, x, more)
+        k = np.repeat(np.maximum(kn, ks) * area[ids], 3)
+        upkeep.gridpoint_stiffness(p.gp[ids], more, k, mobile, soft[ids], out)
     return out
 
 
@@ -100,8 +115,9 @@ def contact_table(c: Contacts, x: Array) -> dict[str, Any]:
     dict
         block_a, block_b, joint (int32; a has the lower id), normal (n, 3) from a to b, gap [m], area [m2],
         traction (n, 3) [Pa] as pressure and two shear components in `frame`, force (n, 3) [N] on block b, slip [m]
-        (distance slipped up to the last commit), state (int8: 0 intact, 1 closed, 2 slipping, 3 open), position (n, 3)
-        [m], patch, frame.
+        (distance slipped up to the last commit), state (int8: 0 intact, 1 closed, 2 slipping, 3 open), failure (int8,
+        up to the last commit: 0 never bonded or intact, 1 bond failed in tension, 2 in shear), position (n, 3) [m],
+        patch, frame, and the columns of history that laws name.
         Open rows stand for the whole patch; side strips are listed only while they carry force.
     """
     p = c.patches
@@ -134,10 +150,23 @@ def contact_table(c: Contacts, x: Array) -> dict[str, Any]:
         "force": on_slave * (area * sign)[:, None],
         "slip": np.where(is_open, 0.0, p.memory_old[rows, 4]),
         "state": np.where(is_open, joints.OPEN, c._state[rows]).astype(np.int8),
+        "failure": p.failure.reshape(-1)[rows].astype(np.int8),
+        **_columns(c, rows, is_open),
         "position": position,
         "patch": patch.astype(np.int32),
         "frame": frame,
     }
+
+
+def _columns(c: Contacts, rows: Any, is_open: Any) -> dict[str, Array]:
+    """What laws remember beyond the common columns, by name; 0 where open and where another law acts."""
+    out: dict[str, Array] = {}
+    for k, law in enumerate(c.laws):
+        mine = (c.patches.law[rows // 3] == k) & ~is_open
+        for j, name in enumerate(law.columns):
+            values = out.setdefault(name, np.zeros(len(rows)))
+            values[mine] = c.patches.memory_old[rows[mine], COMMON + j]
+    return out
 
 
 def _last_points(c: Contacts) -> Array:
@@ -148,7 +177,7 @@ def _last_points(c: Contacts) -> Array:
 def preload(c: Contacts, x: Array, stress: Array) -> None:
     """Let all contacts carry the tractions of a stress field in the positions `x`.
 
-    The reference gap is shifted by the closure p / kn, linear on every patch, and the elastic slip set to the shear
+    The reference gap is shifted by the closure under p, linear on every patch, and the elastic slip set to the shear
     traction over ks. Tension is dropped where the law carries none.
 
     Parameters
@@ -157,6 +186,8 @@ def preload(c: Contacts, x: Array, stress: Array) -> None:
         Stress at `points(x)` [Pa], xx yy zz yz zx xy, tension positive.
     """
     p = c.patches
+    if not len(p):
+        return
     facing = (p.flags & kernels.FACING) > 0
     n_a = _unit(_face_normals(p.gp, x, 0))
     n_f = _unit(_face_normals(p.gp, x, 1))
@@ -170,7 +201,12 @@ def preload(c: Contacts, x: Array, stress: Array) -> None:
     shear[(pressure <= 0.0) & ~tensile[:, None]] = 0.0
     points = p.ref_points
     linear = np.concatenate([1.0 - points.sum(axis=2, keepdims=True), points], axis=2)
-    at_gp = np.linalg.solve(linear, (pressure / c._kn[:, None])[:, :, None])[:, :, 0]
+    closure = np.zeros(len(p) * 3)
+    for k, law in enumerate(c.laws):
+        mine = np.flatnonzero(p.law == k)
+        rows = (3 * mine[:, None] + np.arange(3)).ravel()
+        closure[rows] = law.depth(pressure[mine].ravel(), np.ascontiguousarray(p.prop[mine]))
+    at_gp = np.linalg.solve(linear, closure.reshape(-1, 3, 1))[:, :, 0]
     p.offset[facing] -= at_gp[facing]
     with np.errstate(divide="ignore", invalid="ignore"):
         elastic = np.where(c._ks[:, None, None] > 0.0, -shear / c._ks[:, None, None], 0.0)
@@ -178,3 +214,4 @@ def preload(c: Contacts, x: Array, stress: Array) -> None:
     memory[facing, :, :3] = elastic[facing]
     p.points_old[facing] = points[facing]
     p.active_old[facing] = 1
+    p.area_old[facing] = _areas(c, x)[facing] / 3.0

@@ -13,7 +13,12 @@ from fdem.kernels.tangent import contact_tangent
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
 
-__all__ = ["tangent"]
+__all__ = ["signature", "tangent"]
+
+
+def signature(c: Contacts) -> bytes:
+    """State of all contact points at the last trial."""
+    return c._active.tobytes() + c._state.tobytes()
 
 
 def tangent(c: Contacts, x: NDArray[np.float64], dt: float) -> tuple[Any, Any]:

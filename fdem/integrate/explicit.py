@@ -48,7 +48,7 @@ class Local:
         before = v + system.lag * system.accelerate(f)
         free = f.copy()
         system.constraints.release(free)
-        resist = self.coefficient * np.abs(free) * np.sign(before)
+        resist = system.resist(self.coefficient, free, before)
         a = system.accelerate(f - resist)
         system.damped += h * float(resist @ (v + 0.5 * h * a))
         # fictitious masses and time know no drag, and it is gone at rest
@@ -96,7 +96,7 @@ class Adaptive:
 
     def _measure(self, system: Any, change: np.ndarray) -> None:
         v = system.state.v.copy()
-        system.constraints.release(v)
+        system.constraints.still(v)
         twice = system.scaled_kinetic(v)
         if twice > 0.0:
             system.omega = float(np.sqrt(max(change @ v, 0.0) / (system.dt * twice)))
@@ -141,6 +141,19 @@ class Rayleigh:
 
 
 @dataclass(frozen=True)
+class _Braked:
+    """A damping of `Relaxation`, after which blocks go no faster than joints that stiffen as they close can take."""
+
+    damping: Any
+    dt: float
+
+    def kick(self, system: Any, h: float) -> None:
+        """Change the velocities by the accelerations over `h`, then slow down."""
+        self.damping.kick(system, h)
+        system.brake(self.dt)
+
+
+@dataclass(frozen=True)
 class _Undamped:
     """No damping; mass-proportional drag of the scene is applied if there is one."""
 
@@ -167,6 +180,16 @@ def _centred(system: Any, h: float, a: np.ndarray, alpha: Any, viscous: np.ndarr
         loss -= h * float(viscous @ middle)
     system.damped += loss
     v[:] = new
+
+
+def _safe(system: Any, dt: float) -> float:
+    """Step in which no joint stiffens by more than its law allows."""
+    return min(dt, float(system.safe_closing()))
+
+
+def _unchanged(system: Any, dt: float) -> float:
+    """Return the step as it is."""
+    return dt
 
 
 def _swing(damping: Any) -> float:
@@ -218,6 +241,7 @@ class Explicit:
     def start(self, system: Any) -> None:
         """Prepare the damping and find the step."""
         self._damping.start(system)
+        self._shorten = _safe if system.stiffening and self.dt is None and not self.scaled else _unchanged
         self.refresh(system)
 
     def refresh(self, system: Any) -> None:
@@ -238,6 +262,9 @@ class Explicit:
                 )
         system.stale = False
 
+    def restrain(self, system: Any, dt: float) -> None:
+        """Real velocities stay as they are."""
+
     def limit(self, system: Any) -> float:
         """Largest step known to be stable [s]; infinite without any stiffness."""
         omega = float(np.sqrt(system.block_frequencies().max(initial=0.0)))
@@ -250,10 +277,12 @@ class Explicit:
         return 2.0 / omega * (np.sqrt(1.0 + zeta * zeta) - zeta) / np.sqrt(_swing(self.damping))
 
     def step(self, system: Any, dt: float) -> None:
-        """One step of `dt` [s]."""
+        """One step of `dt` [s], or shorter where joints stiffen as they close."""
         system.forces()
+        dt = self._shorten(system, dt)
         h = system.lag + 0.5 * dt
         self._damping.kick(system, h)
+        self.restrain(system, dt)
         system.commit()
         system.prescribe(dt)
         system.advance(dt)
@@ -289,8 +318,18 @@ class Relaxation(Explicit):
         super().__post_init__()
         self.scaled = True
 
+    def start(self, system: Any) -> None:
+        """Prepare the damping and scale the masses."""
+        plain = self._damping = self.damping or _Undamped()
+        super().start(system)
+        self._damping = _Braked(plain, self.step_length) if system.stiffening else plain
+
     def refresh(self, system: Any) -> None:
         """Scale the masses again after contacts have changed."""
         system.scale_masses(_swing(self.damping))
         self.step_length = 2.0 * self.safety
         system.stale = False
+
+    def restrain(self, system: Any, dt: float) -> None:
+        """Slow down what falls freely: a fictitious speed may not carry a block unseen into another."""
+        system.slow_down(dt)

@@ -11,6 +11,7 @@ import numpy as np
 from fdem.errors import ConvergenceError, OverlapError, SceneError
 from fdem.integrate.linear import LinearSolver
 from fdem.integrate.matrices import Assembler
+from fdem.integrate.trial import Trial
 
 __all__ = ["GeneralizedAlpha", "Newmark"]
 
@@ -20,6 +21,11 @@ RECUTS = 4  # times the contacts may be found anew within a step
 CLIMB = 2.0  # growth of the residual that a Newton step may bring before it is shortened
 SHORTENINGS = 3  # of a Newton step, by half
 HALVINGS = 10  # of the time step
+
+
+def told(history: list[float]) -> str:
+    """The last residuals, for messages."""
+    return ", ".join(f"{r:.1e}" for r in history[-6:])
 
 
 def _number(owner: str, name: str, value: Any, low: float, high: float = math.inf) -> None:
@@ -75,7 +81,7 @@ class _Implicit:
         if system.lag:
             system.state.v[:] = system.velocity()
             system.lag = 0.0
-        self.assembler = Assembler(system)
+        self.assembler, self.trial = Assembler(system), Trial(system)
         self.step_length = self.dt
         self._a: Array | None = None
         system.stale = False
@@ -101,67 +107,66 @@ class _Implicit:
             if h < dt * 0.5**HALVINGS:
                 raise ConvergenceError(
                     f"step {system.state.step}, t = {system.state.t:.6g} s: no convergence in {self.max_iterations} "
-                    f"iterations even with dt = {h:.3g} s; residuals {['%.1e' % r for r in self.history[-6:]]}; "
-                    f"worst is {system.worst_block()}"
+                    f"iterations even with dt = {h:.3g} s; residuals {told(self.history)}; "
+                    f"worst is {self.trial.worst_block()}"
                 )
         system.state.step += 1
 
     def _attempt(self, system: Any, h: float) -> bool:
         """One step of `h` [s]; everything as before if it does not converge."""
         state, rule = system.state, self.rule
-        mass = self.assembler.mass()
-        f0 = self._forces(system)
+        trial = self.trial
+        trial.mass = mass = self.assembler.mass()
+        f0 = trial.all_forces()
         if self._a is None or len(self._a) != len(state.v):
-            self._a = self._start_acceleration(system, f0)
+            self._a = system.accelerate(f0).copy()
         a0, v0 = self._a, state.v.copy()
         system.commit()
-        before = system.snapshot()
+        before = trial.snapshot()
         d = h * v0 + 0.5 * h * h * a0
-        system.prescribe_increment(d, h)
+        trial.prescribe_increment(d, h)
         converged = False
         try:
-            system.displace(before, d, h)
-            converged = self._iterate(system, before, d, v0, a0, f0, mass, h)
+            trial.displace(before, d, h)
+            converged = self._iterate(d, v0, a0, f0, mass, h)
         except OverlapError:
             if h < self.dt * 0.5 ** (HALVINGS - 1):
                 raise
         if not converged:
-            system.back_to(before)
+            trial.back_to(before)
             return False
         v1, a1 = rule.rates(d, v0, a0, h)
-        system.damped += system.numerical_loss(d, v0, v1, a0, a1)
+        system.damped += trial.numerical_loss(d, v0, v1, a0, a1)
         state.v[:], self._a = v1, a1
         return True
 
-    def _iterate(
-        self, system: Any, before: Any, d: Array, v0: Array, a0: Array, f0: Array, mass: Any, h: float
-    ) -> bool:
+    def _iterate(self, d: Array, v0: Array, a0: Array, f0: Array, mass: Any, h: float) -> bool:
         """Newton's method on the increment `d`, in place."""
-        rule, recuts, shortened, seen, last = self.rule, 0, 0, set(), b""
+        trial, rule, recuts, shortened, seen, last = self.trial, self.rule, 0, 0, set(), b""
         self.history = []
         change = None
         for iteration in range(self.max_iterations + 1):
             v1, a1 = rule.rates(d, v0, a0, h)
-            r = self._residual(system, v1, a1, a0, f0, mass)
-            ratio = system.residual_ratio(r, mass, a1)
+            r = self._residual(v1, a1, a0, f0, mass)
+            ratio = trial.residual_ratio(r, a1)
             self.history.append(ratio)
             if not np.isfinite(ratio):
                 return False
             if ratio <= self.tolerance:
-                if recuts < RECUTS and system.find_contacts():
+                if recuts < RECUTS and trial.find_contacts():
                     recuts += 1
                     continue
                 self.iterations = iteration
                 return True
             if iteration == self.max_iterations:
                 return False
-            mark = system.contact_state()
+            mark = trial.contact_state()
             circling = mark != last and mark in seen  # a set of open, closed and slipping points that comes back
             seen.add(mark)
             last = mark
             if change is not None and shortened < SHORTENINGS and (circling or ratio > CLIMB * self.history[-2]):
                 change = 0.5 * change
-                system.displace_further(-change)
+                trial.displace_further(-change)
                 d -= change
                 shortened += 1
                 continue
@@ -169,25 +174,17 @@ class _Implicit:
             cm = (1.0 - rule.alpha_m) / (rule.beta * h * h * (1.0 - rule.alpha_f))
             A = self.assembler.effective(mass, cm, rule.gamma / (rule.beta * h), h)
             change = self.linear.solve(A, r / (1.0 - rule.alpha_f), self.assembler.groups, None, False)
-            system.displace_further(change)
+            trial.displace_further(change)
             d += change
         return False
 
-    def _forces(self, system: Any) -> Array:
-        """All forces, gyroscopic ones and mass-proportional damping included, constraints left in."""
-        return system.all_forces().copy()
-
-    def _residual(self, system: Any, v1: Array, a1: Array, a0: Array, f0: Array, mass: Any) -> Array:
+    def _residual(self, v1: Array, a1: Array, a0: Array, f0: Array, mass: Any) -> Array:
         rule = self.rule
-        system.state.v[:] = v1
-        self._f = self._forces(system)
-        r = (1.0 - rule.alpha_f) * self._f + rule.alpha_f * f0
+        self.trial.state.v[:] = v1
+        r = (1.0 - rule.alpha_f) * self.trial.all_forces() + rule.alpha_f * f0
         r -= mass @ ((1.0 - rule.alpha_m) * a1 + rule.alpha_m * a0)
-        system.constraints.release(r)
+        self.trial.constraints.release(r)
         return r
-
-    def _start_acceleration(self, system: Any, f0: Array) -> Array:
-        return system.accelerate(f0).copy()
 
 
 @dataclass

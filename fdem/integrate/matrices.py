@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Assembler"]
+from fdem.contact import tangents
+
+__all__ = ["Assembler", "projector"]
 
 Array = Any
 
@@ -23,7 +25,7 @@ class Assembler:
     def __init__(self, system: Any) -> None:
         self.system = system
         self.n = len(system.state.v)
-        self.groups = [g for batch in system.model.batches for g in batch.unknown_groups()]
+        self.groups = [batch.groups() for batch in system.model.batches]
 
     def mass(self) -> Any:
         """Mass matrix (n, n), scipy CSR."""
@@ -37,9 +39,11 @@ class Assembler:
         from scipy.sparse import coo_matrix
 
         system, state = self.system, self.system.state
-        inner = [batch.stiffness_entries(state.x) for batch in system.model.batches]
+        inner = [batch.tangent(state.q, state.x) for batch in system.model.batches]
         forces = state.f_gp if system.f_load is None else state.f_gp + system.f_load
-        inner += [batch.geometric_entries(state.q, forces) for batch in system.model.batches if not batch.in_place]
+        for batch in system.model.batches:
+            rows, columns, values = batch.geometric(state.q, forces)
+            inner.append((rows, columns, -values))
         K = coo_matrix(_joined(inner), shape=(self.n, self.n)).tocsr()
         outer = self._at_gridpoints(cc, dt)
         if outer is not None:
@@ -87,7 +91,7 @@ class Assembler:
         from scipy.sparse import coo_matrix
 
         state = self.system.state
-        inner = [batch.stiffness_entries(state.x) for batch in self.system.model.batches if batch.has_internal]
+        inner = [batch.tangent(state.q, state.x) for batch in self.system.model.batches if batch.has_internal]
         return coo_matrix(_joined(inner), shape=(self.n, self.n)).tocsr() if inner else None
 
     def placement(self) -> Any:
@@ -95,7 +99,7 @@ class Assembler:
         from scipy.sparse import coo_matrix
 
         state = self.system.state
-        parts = [batch.jacobian_entries(state.q) for batch in self.system.model.batches]
+        parts = [batch.jacobian(state.q) for batch in self.system.model.batches]
         return coo_matrix(_joined(parts), shape=(state.x.size, self.n)).tocsr()
 
     def _at_gridpoints(self, cc: float, dt: float) -> Any:
@@ -105,7 +109,7 @@ class Assembler:
         system, state = self.system, self.system.state
         rows, cols, values = [], [], []
         if system.contacts is not None and system.contacts.n_patches:
-            gp, blocks = system.contacts.tangent(state.x, dt)
+            gp, blocks = tangents.tangent(system.contacts, state.x, dt)
             dof = (3 * gp[:, :, None] + np.arange(3)).reshape(len(gp), 21)
             rows.append(np.repeat(dof, 21, axis=1).ravel())
             cols.append(np.tile(dof, (1, 21)).ravel())
@@ -122,36 +126,34 @@ class Assembler:
         entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))
         return coo_matrix(entries, shape=(state.x.size, state.x.size)).tocsr()
 
-    def projector(self) -> Any:
-        """Projector N (n, n) on what constraints leave free, scipy CSR."""
-        from scipy.sparse import diags
-
-        free = np.ones(self.n)
-        free[self.system.constraints.held()] = 0.0
-        N = diags(free).tocsr()
-        return N @ self._projector() if len(self.system.constraints.oblique_rows) else N
-
     def constrained(self, K: Any) -> Any:
-        """``N K N + s (1 - N)`` with s of the size of K's diagonal."""
-        from scipy.sparse import diags
+        """``N^T K N + s (1 - N)^T (1 - N)`` with the projector N on what is free, s of the size of K's diagonal."""
+        from scipy.sparse import identity
 
-        constraints = self.system.constraints
-        if not len(constraints.held()) and not len(constraints.oblique_rows):
+        if not self.system.constraints.any:
             return K
-        N = self.projector()
+        N = projector(self.system.constraints, self.n)
+        held = identity(self.n, format="csr") - N
         scale = float(np.abs(K.diagonal()).mean()) or 1.0
-        return (N @ K @ N + scale * (diags(np.ones(self.n)) - N)).tocsr()
+        return (N.T @ K @ N + scale * (held.T @ held)).tocsr()
 
-    def _projector(self) -> Any:
-        from scipy.sparse import coo_matrix
 
-        constraints = self.system.constraints
-        index = constraints.oblique_rows[:, None] + np.arange(3)
-        rest = np.setdiff1d(np.arange(self.n), index)
-        rows = np.concatenate([np.repeat(index, 3, axis=1).ravel(), rest])
-        cols = np.concatenate([np.tile(index, (1, 3)).ravel(), rest])
-        values = np.concatenate([constraints.oblique.ravel(), np.ones(len(rest))])
-        return coo_matrix((values, (rows, cols)), shape=(self.n, self.n)).tocsr()
+def projector(constraints: Any, n: int) -> Any:
+    """Projector (n, n) of motions on what constraints leave free, scipy CSR; its transpose releases forces."""
+    from scipy.sparse import coo_matrix, diags
+
+    free = np.ones(n)
+    free[constraints.held] = 0.0
+    oblique = zip(constraints.oblique_rows, constraints.oblique, strict=True)
+    blocks = [(row + np.arange(3), matrix) for row, matrix in oblique]
+    blocks += [(np.arange(group.dofs.start, group.dofs.stop), group.free) for group in constraints.coupled]
+    if not blocks:
+        return diags(free).tocsr()
+    rest = np.setdiff1d(np.arange(n), np.concatenate([index for index, _ in blocks]))
+    rows = np.concatenate([*(np.repeat(index, len(index)) for index, _ in blocks), rest])
+    columns = np.concatenate([*(np.tile(index, len(index)) for index, _ in blocks), rest])
+    values = np.concatenate([*(matrix.ravel() for _, matrix in blocks), np.ones(len(rest))])
+    return diags(free).tocsr() @ coo_matrix((values, (rows, columns)), shape=(n, n)).tocsr()
 
 
 def _joined(parts: list[tuple[Array, Array, Array]]) -> tuple[Array, tuple[Array, Array]]:

@@ -1,10 +1,13 @@
-"""How velocities answer to impulses: block inverses where masses stand alone, a sparse factor where stiffness couples."""
+"""How velocities answer to impulses: block inverses of masses, a sparse factor where stiffness couples."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+
+from fdem.contact.proximal import Rows
+from fdem.integrate.matrices import projector
 
 __all__ = ["Mobility"]
 
@@ -34,8 +37,7 @@ class Mobility:
     def __init__(self, assembler: Any, mass: Any, stiffness: Any, h: float) -> None:
         self.n, self._stiffness = mass.shape[0], stiffness
         constraints = assembler.system.constraints
-        self._oblique = constraints.oblique_rows, constraints.oblique
-        self._held = constraints.held()
+        self._free = projector(constraints, self.n) if constraints.any else None
         A = mass if stiffness is None else mass + h * h * stiffness
         self.matrix = assembler.constrained(A.tocsr()).tocsc()
         self.matrix.sort_indices()
@@ -47,66 +49,48 @@ class Mobility:
 
             self._factor = splu(self.matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
-    def release(self, f: Array) -> Array:
-        """`f` (n,) with its constrained part set to zero, in place."""
-        f[self._held] = 0.0
-        rows, projectors = self._oblique
-        if len(rows):
-            index = rows[:, None] + np.arange(3)
-            f[index] = np.einsum("nij,nj->ni", projectors, f[index])
-        return f
-
     def solve(self, f: Array) -> Array:
         """``A^-1 f`` (n,), zero where constrained."""
-        f = self.release(f.copy())
+        if self._free is not None:
+            f = self._free.T @ f
         if self._stiffness is not None:
-            return self.release(self._factor.solve(f))
-        z = np.zeros(self.n)
-        for group, inverse in self._blocks:
-            z[group] = np.einsum("nij,nj->ni", inverse, f[group])
-        return self.release(z)
+            z = self._factor.solve(f)
+        else:
+            z = np.zeros(self.n)
+            for group, inverse in self._blocks:
+                z[group] = np.einsum("nij,nj->ni", inverse, f[group])
+        return z if self._free is None else self._free @ z
 
     def stiffness_times(self, v: Array) -> Array:
         """``K v`` (n,)."""
         return np.zeros(self.n) if self._stiffness is None else self._stiffness @ v
 
-    def free_rows(self, start: Array, dof: Array, J: Array) -> Array:
-        """Rows `J` (entries, 3) with what is constrained taken out, on the same entries."""
-        if not len(self._held) and not len(self._oblique[0]):
-            return J
-        J = J.copy()
-        held = np.zeros(self.n, dtype=bool)
-        held[self._held] = True
-        J[held[dof]] = 0.0
-        rows, projectors = self._oblique
-        if len(rows):
-            triple = np.full(self.n, -1)
-            triple[rows[:, None] + np.arange(3)] = np.arange(len(rows))[:, None]
-            point = np.repeat(np.arange(len(start) - 1), np.diff(start)).astype(np.int64)
-            key = point * self.n + dof
-            order = np.argsort(key)
-            mine = np.flatnonzero(triple[dof] >= 0)
-            of = triple[dof[mine]]
-            fellows = order[np.searchsorted(key[order], (key[mine] - dof[mine] + rows[of])[:, None] + np.arange(3))]
-            J[mine] = np.einsum("nk,nka->na", projectors[of, dof[mine] - rows[of]], J[fellows])
-        return J
+    def free_rows(self, rows: Rows) -> Rows:
+        """Rows over the motions that constraints leave free."""
+        return rows if self._free is None else _by_point(self._wide(rows) @ self._free)
 
-    def answers(self, start: Array, dof: Array, J: Array) -> tuple[Array, Array, Array]:
-        """``A^-1 J^T`` by points: start, unknowns, values (entries, 3)."""
-        from scipy.sparse import coo_matrix, csr_matrix
+    def answers(self, rows: Rows) -> Rows:
+        """``A^-1 J^T`` of rows over free motions, as rows again."""
+        from scipy.sparse import csr_matrix
 
-        count = len(start) - 1
-        point = np.repeat(np.arange(count), np.diff(start))
-        rows = 3 * point[:, None] + np.arange(3)
-        cols = np.broadcast_to(dof[:, None], J.shape)
-        wide = coo_matrix((J.ravel(), (rows.ravel(), cols.ravel())), shape=(3 * count, self.n)).tocsr()
+        wide = self._wide(rows)
         if self._stiffness is None:
-            return _by_point(wide @ _joined(self._blocks, self.n), count)
+            return _by_point(wide @ _joined(self._blocks, self.n))
         dense = self._factor.solve(wide.T.toarray()).T
         reach = np.zeros_like(dense)
-        touched = np.unique(dof)  # velocities elsewhere are found at the end
+        touched = np.unique(rows.dof)  # velocities elsewhere are found at the end
         reach[:, touched] = dense[:, touched]
-        return _by_point(csr_matrix(reach), count)
+        return _by_point(csr_matrix(reach))
+
+    def _wide(self, rows: Rows) -> Any:
+        """Rows as a matrix (3 n_points, n), scipy CSR."""
+        from scipy.sparse import coo_matrix
+
+        start, dof, J = rows
+        count = len(start) - 1
+        at = 3 * np.repeat(np.arange(count), np.diff(start))[:, None] + np.arange(3)
+        columns = np.broadcast_to(dof[:, None], J.shape)
+        return coo_matrix((J.ravel(), (at.ravel(), columns.ravel())), shape=(3 * count, self.n)).tocsr()
 
 
 def _block_inverses(A: Any, groups: list[Array]) -> list[tuple[Array, Array]]:
@@ -134,8 +118,8 @@ def _joined(blocks: list[tuple[Array, Array]], n: int) -> Any:
     return coo_matrix((values, (rows, cols)), shape=(n, n)).tocsr()
 
 
-def _by_point(J: Any, count: int) -> tuple[Array, Array, Array]:
-    """Rows 3 i .. 3 i + 2 of a CSR matrix on their common columns: start, columns, values (entries, 3)."""
+def _by_point(J: Any) -> Rows:
+    """Rows 3 i .. 3 i + 2 of a CSR matrix on their common columns."""
     rows = np.repeat(np.arange(J.shape[0]), np.diff(J.indptr))
     key = (rows // 3).astype(np.int64) * J.shape[1] + J.indices
     order = np.argsort(key, kind="stable")
@@ -144,5 +128,5 @@ def _by_point(J: Any, count: int) -> tuple[Array, Array, Array]:
     unique = key[order][fresh]
     values = np.zeros((len(unique), 3))
     values[place, rows[order] % 3] = J.data[order]
-    start = np.searchsorted(unique, np.arange(count + 1) * np.int64(J.shape[1]))
-    return start, (unique % J.shape[1]).astype(np.int64), values
+    start = np.searchsorted(unique, np.arange(J.shape[0] // 3 + 1) * np.int64(J.shape[1]))
+    return Rows(start, (unique % J.shape[1]).astype(np.int64), values)

@@ -10,6 +10,7 @@ import numpy as np
 
 from fdem.errors import ConvergenceError
 from fdem.integrate.implicit import _number
+from fdem.integrate.impulses import Impulses
 from fdem.integrate.matrices import Assembler
 
 __all__ = ["ContactDynamics"]
@@ -66,12 +67,12 @@ class ContactDynamics:
         if system.lag:
             system.state.v[:] = system.velocity()
             system.lag = 0.0
-        system.harden()
+        self._hard = Impulses(system)
         self.assembler = Assembler(system)
         self.step_length = self.dt
         self._points: Any = None
         self._impulses = np.zeros((0, 3))
-        self.solver = system.impulse_solver(self.tolerance, int(self.max_iterations))
+        self.solver = self._hard.solver(self.tolerance, int(self.max_iterations))
         system.stale = False
 
     def refresh(self, system: Any) -> None:
@@ -85,56 +86,54 @@ class ContactDynamics:
     def step(self, system: Any, dt: float) -> None:
         """Advance by `dt` [s]."""
         h, theta, state = dt, self.theta, system.state
-        system.commit_loads()
+        hard = self._hard
+        hard.commit_loads()
         before = state.v.copy()
-        system.drift((1.0 - theta) * h)
-        f = system.soft_forces()
-        mobility = system.mobility(self.assembler, h * theta)
+        hard.drift((1.0 - theta) * h)
+        mass = self.assembler.mass()
+        f = hard.soft_forces(mass)
+        mobility = hard.mobility(self.assembler, mass, h * theta)
         free = state.v + mobility.solve(h * f - h * h * (2.0 * theta - 1.0) * mobility.stiffness_times(state.v))
-        system.prescribe_velocity(free, h)
-        points = system.hard_points()
+        hard.prescribe_velocity(free, h)
+        points = hard.points()
         if points is None or not len(points):
             self.iterations, self.sweeps, self.residual, self.penetration = 0, 0, 0.0, 0.0
             state.v[:], impulses, problem = free, np.zeros((0, 3)), None
         else:
-            impulses, problem = self._contacts(system, points, mobility, free, h)
+            self.penetration = -float(points.gap.min(initial=0.0))
+            # what bounces does so when it has closed, not before
+            points = points.take((points.restitution == 0.0) | (points.gap <= 0.0))
+            impulses, problem = self._contacts(points, mobility, free, h)
         self._points, self._impulses = points, impulses
-        system.after_impulses(points, impulses, before, problem, h)
-        system.drift(theta * h)
+        hard.keep(points, impulses, before, problem, h)
+        hard.drift(theta * h)
         state.step += 1
 
-    def _contacts(self, system: Any, points: Any, mobility: Any, free: Array, h: float) -> tuple[Array, Any]:
+    def _contacts(self, points: Any, mobility: Any, free: Array, h: float) -> tuple[Array, Any]:
         """Impulses (n, 3) of the contact points; velocities are changed by them."""
-        start, dof, J = system.point_rows(points, self.assembler)
-        Jf = mobility.free_rows(start, dof, J)
-        problem = system.impulse_problem(
-            start, dof, J, Jf, mobility.matrix, mobility.solve, lambda: mobility.answers(start, dof, Jf), free,
-            points, h,
-        )  # fmt: skip
-        closed = points.gap <= 0.0
-        bounce = (points.restitution > 0.0) & closed
-        incoming = problem.relative(system.state.v)[:, 0]
+        hard, system = self._hard, self._hard.system
+        problem = hard.problem(points, self.assembler, mobility, free, h)
         problem.bias[:] = np.maximum(points.gap, 0.0) / (self.theta * h)
-        problem.bias[bounce] = points.restitution[bounce] * np.minimum(incoming[bounce], 0.0)
-        impulses = self._warm(system, points)
-        impulses, v, self.residual = self.solver.solve(problem, impulses)
+        bounce = points.restitution > 0.0
+        incoming = problem.rows.times(system.state.v)[bounce, 0]
+        problem.bias[bounce] = points.restitution[bounce] * np.minimum(incoming, 0.0)
+        impulses, v, self.residual = self.solver.solve(problem, self._warm(points))
         self.iterations, self.sweeps = self.solver.iterations, self.solver.sweeps
-        self.penetration = -float(points.gap.min(initial=0.0))
         if not self.residual <= self.tolerance:
             raise ConvergenceError(
                 f"step {system.state.step}: impulses are wrong by {self.residual:.2e} of the mean after "
                 f"{self.iterations} iterations and {self.sweeps} sweeps, worst between "
                 f"{system.contacts.pair_names(int(points.pair[self.solver.worst]))}; residuals: "
-                f"{['%.1e' % e for e in self.solver.history[-8:]]}; a shorter step or a larger tolerance helps"
+                f"{', '.join(f'{e:.1e}' for e in self.solver.history[-8:])}; a shorter step or a larger tolerance helps"
             )
         system.state.v[:] = v
         return impulses, problem
 
-    def _warm(self, system: Any, points: Any) -> Array:
+    def _warm(self, points: Any) -> Array:
         """Impulses to start from: those of the last step at the same places."""
         impulses = np.zeros((len(points), 3))
         if self._points is not None and len(self._points) and len(self._impulses):
-            at = points.matched(self._points, system.pair_sizes())
+            at = points.matched(self._points, self._hard.pair_sizes())
             known = at >= 0
             world = np.einsum("nij,ni->nj", self._points.frame[at[known]], self._impulses[at[known]])
             impulses[known] = np.einsum("nij,nj->ni", points.frame[known], world)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from fdem.errors import ConvergenceError, OverlapError
-from fdem.integrate.implicit import RECUTS, _number
+from fdem.integrate.implicit import RECUTS, _number, told
 from fdem.integrate.linear import LinearSolver
 from fdem.integrate.matrices import Assembler
+from fdem.integrate.trial import Trial
 
 __all__ = ["Static"]
 
@@ -73,14 +74,15 @@ class Static:
         system.state.v[:] = 0.0
         system.lag = 0.0
         system.fictitious = True
-        self.assembler = Assembler(system)
+        self.assembler, self.trial = Assembler(system), Trial(system)
+        self.trial.mass = self.assembler.mass()
         self.step_length = 1.0
-        self._inertia = system.reference_stiffness()
+        self._inertia = self.trial.reference_stiffness()
         system.stale = False
 
     def refresh(self, system: Any) -> None:
         """Find the reference stiffness again after contacts have changed."""
-        self._inertia = system.reference_stiffness()
+        self._inertia = self.trial.reference_stiffness()
         system.stale = False
 
     def limit(self, system: Any) -> float:
@@ -90,7 +92,7 @@ class Static:
     def step(self, system: Any, dt: float) -> None:
         """Find the equilibrium under the loads at the end of the step."""
         left, part = 1.0, 1.0 / self.steps
-        start, t = system.unbalanced().copy(), system.state.t
+        start, t = self.trial.unbalanced(), system.state.t
         while left > 1e-9:
             part = min(part, left)
             if self._attempt(system, start, t + dt * (1.0 - left + part), left, part):
@@ -101,7 +103,7 @@ class Static:
             if part < 0.5**HALVINGS / self.steps:
                 raise ConvergenceError(
                     f"no equilibrium found: {1.0 - left:.0%} of the load step were in balance; the last residuals are "
-                    f"{['%.1e' % r for r in self.history[-5:]]} of the largest force, worst is {system.worst_block()}"
+                    f"{told(self.history)} of the largest force, worst is {self.trial.worst_block()}"
                 )
         system.state.step += 1
 
@@ -109,50 +111,51 @@ class Static:
         """One load step; everything as before if it does not converge."""
         system.forces()
         system.commit()
-        before = system.snapshot()
+        trial = self.trial
+        before = trial.snapshot()
         d = np.zeros_like(system.state.v)
-        system.prescribe_increment(d, t - system.state.t, part / left)
+        trial.prescribe_increment(d, t - system.state.t, part / left)
         try:
-            system.displace(before, d, t - system.state.t)
-            if self._iterate(system, (left - part) * start):
+            trial.displace(before, d, t - system.state.t)
+            if self._iterate((left - part) * start):
                 return True
         except OverlapError:
             if part <= 2.0 * 0.5**HALVINGS / self.steps:
                 raise
-        system.back_to(before)
+        trial.back_to(before)
         return False
 
-    def _iterate(self, system: Any, rest: Array) -> bool:
+    def _iterate(self, rest: Array) -> bool:
         """Iterate until the unbalanced force is `rest`."""
-        recuts, trust, self.history = 0, TRUST, []
-        r = system.unbalanced() - rest
-        ratio = system.residual_ratio(r, None, None)
+        trial, recuts, trust, self.history = self.trial, 0, TRUST, []
+        r = trial.unbalanced() - rest
+        ratio = trial.residual_ratio(r, None)
         for iteration in range(self.max_iterations):
             self.history.append(ratio)
             if not np.isfinite(ratio):
                 return False
             if ratio <= self.tolerance:
-                if recuts < RECUTS and system.find_contacts():
+                if recuts < RECUTS and trial.find_contacts():
                     recuts += 1
-                    r = system.unbalanced() - rest
-                    ratio = system.residual_ratio(r, None, None)
+                    r = trial.unbalanced() - rest
+                    ratio = trial.residual_ratio(r, None)
                     continue
                 self.iterations = iteration
                 return True
             A = self.assembler.effective(self._inertia * LOOSE + self.assembler.joints(), 1.0 / trust, 0.0, 0.0)
             change = self.linear.solve(A, r, self.assembler.groups, self.assembler.modes(), True)
-            change *= min(1.0, MOTION / max(system.relative_motion(change), 1e-300))
-            system.displace_further(change)
-            system.find_contacts()
-            r, before = system.unbalanced() - rest, ratio
-            ratio = system.residual_ratio(r, None, None)
+            change *= min(1.0, MOTION / max(trial.relative_motion(change), 1e-300))
+            trial.displace_further(change)
+            trial.find_contacts()
+            r, before = trial.unbalanced() - rest, ratio
+            ratio = trial.residual_ratio(r, None)
             for _ in range(SHORTENINGS):
                 if ratio <= CLIMB * before:
                     break
                 change *= 0.5
-                system.displace_further(-change)
-                r = system.unbalanced() - rest
-                ratio = system.residual_ratio(r, None, None)
+                trial.displace_further(-change)
+                r = trial.unbalanced() - rest
+                ratio = trial.residual_ratio(r, None)
             trust *= max(GROWTH, before / max(ratio, 1e-300)) if ratio <= before else 1.0 / GROWTH
             trust = min(trust, 1e16)
         return False

@@ -10,26 +10,25 @@ import numpy as np
 
 from fdem.blocks.bounds import Springs
 from fdem.constraints import Constraints
-from fdem.contact import hard
-from fdem.errors import SceneError, UnstableError
-from fdem.loads import Bedding, Dashpot, Load
+from fdem.contact.wear import refuse_leaps
+from fdem.errors import UnstableError
+from fdem.integrate.pace import Pace
+from fdem.loads import Bedding, Dashpot, Load, Torque
 from fdem.model import Model
 from fdem.state import State
 
 __all__ = ["System"]
 
-MOTION = 2e-3  # of the smallest block's size per step: corners meet with next to no stiffness, which then grows fast
 
-
-class System:
+class System(Pace):
     """Forces, masses and kinematics of a compiled scene; knows no formulation and no joint law.
 
     Parameters
     ----------
     model, state : Model, State
         What compile made.
-    contacts : Contacts or None
-        The contact layer.
+    contacts, particles : Contacts or None, SphereContacts or None
+        The contact layer; contacts with a sphere in them.
     constraints : Constraints
         Fixed and prescribed components.
     loads : list of Load
@@ -45,18 +44,20 @@ class System:
         model: Model,
         state: State,
         contacts: Any,
+        particles: Any,
         constraints: Constraints,
         loads: list[Load],
         alpha: np.ndarray | None,
         energy: bool = True,
     ) -> None:
-        self.model, self.state, self.contacts = model, state, contacts
+        self.model, self.state, self.contacts, self.particles = model, state, contacts, particles
         self.constraints, self.loads, self.alpha = constraints, loads, alpha
         self.rate: Any = alpha  # all mass-proportional damping, that of the integrator included [1/s]
         self.lag = 0.0  # time by which v is behind q: 0 before the first step, then half a step [s]
         self.dt = 0.0  # the last step [s]
         self.fictitious = False  # masses are scaled: time and velocities have no meaning of their own
-        self.hard = False  # contacts are impulses, not springs
+        self.mean_contact: np.ndarray | None = None  # forces of hard contact over the last step, in place of springs
+        self.hard_table: dict[str, Any] | None = None
         self.work = 0.0
         self.damped = 0.0
         self.scaled: list[Any] = [None] * len(model.batches)
@@ -73,27 +74,37 @@ class System:
         self.stale = True
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
-        self._first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
-        self._keeps_old = contacts is not None or self._load_old is not None
+        self.first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
+        self.stiffening = contacts is not None and contacts.curved  # joints whose stiffness grows as they close
+        self._torques = [load for load in loads if isinstance(load, Torque)]
+        self._turning = np.zeros_like(state.v) if self._torques else None
+        self._turning_old = np.zeros_like(state.v) if self._torques and energy else None
+        self._spun = np.zeros_like(state.v) if self._torques and energy else None
+        self._keeps_old = contacts is not None or particles is not None or self._load_old is not None
         self.weight = self._weight()
+        for group in constraints.coupled:
+            model.batch_of(group.block).confine(int(model.batch_row[group.block]), group.rows)
+        self.weigh()
         self._terms = self._choose_terms()
-        self._held = constraints.held() if constraints.moving else None
+        self._smallest = float(model.size[~model.fixed].min(initial=np.inf))
 
     def _choose_terms(self) -> tuple[Callable[[], None], ...]:
         """The force terms this scene needs, in order."""
         state = self.state
         terms: list[Callable[[], None]] = []
-        if self.hard:
-            terms.append(lambda: np.add(state.f_gp, self._hard_force, out=state.f_gp))
+        if self.mean_contact is not None:
+            terms.append(partial(np.add, state.f_gp, self.mean_contact, out=state.f_gp))
         elif self.contacts is not None:
             terms.append(lambda: self.contacts.forces(state.x, state.x_old, self._real_dt, state.f_gp))
-        if self.contacts is not None:
+        if self.particles is not None:
+            terms.append(lambda: self.particles.forces(state.x, state.x_old, self._real_dt, state.f_gp, state.f))
+        if terms:
             for batch in self.model.batches:
                 if not batch.in_place:
                     terms.append(partial(batch.pull, state.q, state.f_gp, state.f))
         for batch in self.model.batches:
             if batch.has_internal:
-                terms.append(partial(batch.internal, state.x, state.f))
+                terms.append(partial(batch.internal, state.q, state.x, state.f))
         terms.append(self._keep_elastic)
         if self.loads:
             terms.append(self._add_loads)
@@ -122,12 +133,17 @@ class System:
             load.add(state.t, state.step, state.x, self.xdot, total)
         for batch in self.model.batches:
             batch.pull(state.q, total, state.f)
+        if self._turning is not None:
+            self._turning.fill(0.0)
+            for torque in self._torques:
+                torque.turn(state.t, self._turning)
+            state.f += self._turning
 
     def forces(self) -> np.ndarray:
         """Generalised forces f(t, q, v) of the present configuration [N, N m]."""
         if not self.current:
             # gridpoints whose positions are unknowns share memory with f: only the others are cleared here
-            self.state.f_gp[self._first_pulled :].fill(0.0)
+            self.state.f_gp[self.first_pulled :].fill(0.0)
             np.copyto(self.state.f, self.weight)
             for term in self._terms:
                 term()
@@ -136,10 +152,19 @@ class System:
 
     def accelerate(self, f: np.ndarray) -> np.ndarray:
         """Accelerations M^-1 f with the constrained part set to zero."""
+        if self.constraints.coupled:
+            f = self.constraints.carried_off(f)
         for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
             batch.accelerate(self.state.q, f, self.a, scaled)
-        self.constraints.release(self.a)
+        self.constraints.still(self.a)
         return self.a
+
+    def resist(self, share: float, f: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Forces that resist the motion `v`, a `share` of the forces `f` by components (n_dofs,)."""
+        result = np.empty_like(f)
+        for batch in self.model.batches:
+            batch.resist(self.state.q, f, v, share, result)
+        return result
 
     def prescribe(self, dt: float) -> None:
         """Give constrained velocities their values in the middle of the step of length `dt` [s]."""
@@ -150,14 +175,36 @@ class System:
         self.work += self.pending_work()
         if self._load_old is not None:
             self._load_old[:] = self.f_load
+        if self._turning_old is not None:
+            self._turning_old[:] = self._turning
         if self._reaction_old is not None:
             self._reaction_old[:] = self.state.f
         if self.elastic is not None:
             self.elastic, self.elastic_old = self.elastic_old, self.elastic
         if self.contacts is not None:
             self.contacts.commit()
+        if self.particles is not None:
+            self.particles.commit()
         if self._keeps_old:
             self.state.x_old[:] = self.state.x
+
+    def harden(self) -> None:
+        """Leave the forces of penalty contacts out; mean forces over the last step take their place."""
+        self.mean_contact = np.zeros_like(self.state.f_gp)
+        self._terms = self._choose_terms()
+        self.current = False
+
+    def commit_loads(self) -> None:
+        """Work of loads up to here; positions as those of the last commit."""
+        self.work += self.pending_work()
+        if self._load_old is not None:
+            self._load_old[:] = self.f_load
+        self.state.x_old[:] = self.state.x
+
+    def contact_table(self) -> dict[str, Any]:
+        """Contact points as a dict of arrays: of the last forces, or of the last impulses."""
+        table: dict[str, Any] = self.contacts.table(self.state.x) if self.hard_table is None else self.hard_table
+        return table
 
     def pending_work(self) -> float:
         """Work [J] of loads and prescribed motion over the last step, by the trapezoidal rule."""
@@ -165,22 +212,32 @@ class System:
         if self._load_old is not None and self.state.step > 0:
             moved = self.state.x - self.state.x_old
             work += 0.5 * float(np.vdot(self._load_old + self.f_load, moved))
-        if self._reaction_old is not None and self._held is not None and self.state.step > 0:
-            held = self._held
-            work -= 0.5 * self.dt * float((self._reaction_old + self.state.f)[held] @ self.state.v[held])
+        if self._turning_old is not None and self.state.step > 0:
+            work += 0.5 * float((self._turning_old + self._turning) @ self._spun)
+        if self._reaction_old is not None and self.state.step > 0:
+            given = self.constraints.given(self.state.v)
+            work -= 0.5 * self.dt * float((self._reaction_old + self.state.f) @ given)
         return work
 
     def advance(self, dt: float) -> None:
         """Move the configuration by `dt` [s] with the present velocities; look for contacts if due."""
         state = self.state
+        aims = [group.aim(state.q, state.v, dt) for group in self.constraints.coupled]
+        if self._spun is not None:
+            np.multiply(state.v, dt, out=self._spun)
+        for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
+            batch.advance(state.q, state.v, dt, scaled)
+        for group, aim in zip(self.constraints.coupled, aims, strict=True):
+            group.meet(state.q, aim)
         for batch in self.model.batches:
-            batch.advance(state.q, state.v, dt)
             batch.place(state.q, state.x)
-        state.t += dt
-        state.step += 1
+        state.t, state.step = state.t + dt, state.step + 1
         self.dt = dt
         self.current = False
-        if self.contacts is not None and self.contacts.update(state.x):
+        if self.contacts is not None and (self.contacts.update(state.x) or self.contacts.stiffer):
+            self.stale = True
+            refuse_leaps(self.contacts, state.x_old, state.x)
+        if self.particles is not None and self.particles.update(state.x, state.x_old, state.v, dt):
             self.stale = True
 
     def velocity(self) -> np.ndarray:
@@ -194,247 +251,9 @@ class System:
         else:
             half = 0.5 * self.lag * self.rate
             v = ((1.0 - half) * self.state.v + self.lag * self.a) / (1.0 + half)
-        if self._held is not None:
-            v[self._held] = self.state.v[self._held]
+        if self.constraints.moving:
+            self.constraints.keep(v, self.state.v)
         return v
-
-    # ------------------------------------------------------------------ implicit steps
-
-    def all_forces(self) -> np.ndarray:
-        """Forces of the trial with gyroscopic terms and mass-proportional damping (n_dofs,) [N, N m]."""
-        self.current = False
-        f, state = self.forces(), self.state
-        for batch in self.model.batches:
-            batch.gyroscopic(state.q, state.v, f)
-        if self.rate is not None:
-            f -= self.mass_times(self.rate * state.v)
-        return f
-
-    def mass_times(self, v: np.ndarray) -> np.ndarray:
-        """``M v`` (n_dofs,)."""
-        out = np.zeros_like(v)
-        for batch in self.model.batches:
-            batch.add_momentum(self.state.q, v, out)
-        return out
-
-    def snapshot(self) -> tuple[Any, ...]:
-        """What `back_to` needs."""
-        state = self.state
-        return state.q.copy(), state.v.copy(), state.t, self.dt
-
-    def back_to(self, before: tuple[Any, ...]) -> None:
-        """Give up a trial."""
-        state = self.state
-        state.q[:], state.v[:], state.t, self.dt = before
-        self._place()
-        self.find_contacts()
-        self.current = False
-
-    def displace(self, before: tuple[Any, ...], d: np.ndarray, h: float) -> None:
-        """Trial configuration: the increment `d` (n_dofs,) over `h` [s] from `before`; contacts are found there."""
-        state = self.state
-        state.q[:] = before[0]
-        state.t, self.dt = before[2] + h, h
-        self.displace_further(d)
-        self.find_contacts()
-
-    def displace_further(self, d: np.ndarray) -> None:
-        """Move the trial configuration by `d` (n_dofs,)."""
-        for batch in self.model.batches:
-            batch.shift(self.state.q, d)
-        self._place()
-        self.current = False
-
-    def _place(self) -> None:
-        for batch in self.model.batches:
-            batch.place(self.state.q, self.state.x)
-
-    def find_contacts(self) -> bool:
-        """Look for contacts at the trial; whether they changed."""
-        if self.contacts is None or not self.contacts.update(self.state.x):
-            return False
-        self.current = False
-        return True
-
-    def contact_state(self) -> bytes:
-        """What is open, closed and slipping, to tell when Newton's method goes round in circles."""
-        return b"" if self.contacts is None else self.contacts.signature()
-
-    def prescribe_increment(self, d: np.ndarray, h: float, share: float | None = None) -> None:
-        """Give constrained increments their values over the next `h` [s]; `share` of displacements still to come."""
-        v = self.state.v.copy()
-        self.constraints.prescribe(v, self.state.q, self.q0, self.state.t + 0.5 * h, h, share)
-        held = self.constraints.held()
-        d[held] = h * v[held]
-        if len(self.constraints.oblique_rows):
-            self.constraints._project(d)
-
-    def unbalanced(self) -> np.ndarray:
-        """Forces of the trial that nothing holds (n_dofs,) [N, N m]."""
-        self.current = False
-        f = self.forces().copy()
-        self.constraints.release(f)
-        return f
-
-    def reference_stiffness(self) -> Any:
-        """Diagonal matrix (n_dofs, n_dofs): masses times the squared frequency of their block on all its joints.
-
-        Raises
-        ------
-        SceneError
-            A block that can move has no mass, or touches nothing that could hold it.
-        """
-        from scipy.sparse import diags
-
-        omega2, free = self.block_frequencies(), np.ones(len(self.state.v), dtype=bool)
-        free[self.constraints.held()] = False
-        diagonal = np.zeros(len(free))
-        for batch in self.model.batches:
-            owner = batch.dof_rows()
-            loose = np.unique(owner[free[batch.dofs] & (omega2[owner] == 0.0)])
-            if len(loose):
-                raise SceneError(
-                    f"Static: block {self.model.names[loose[0]]!r} is free: no joint or support can hold it"
-                )
-            diagonal[batch.dofs] = batch.mass_diagonal(self.state.q) * omega2[owner]
-        return diags(np.where(diagonal > 0.0, diagonal, 1.0)).tocsr()
-
-    def relative_motion(self, d: np.ndarray) -> float:
-        """Largest motion of a gridpoint in the increment `d` over the size of the smallest block."""
-        moved = np.zeros_like(self.state.x)
-        for batch in self.model.batches:
-            batch.push(self.state.q, d, moved)
-        size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
-        return float(np.sqrt((moved**2).sum(axis=1).max(initial=0.0))) / size
-
-    def residual_ratio(self, r: np.ndarray, mass: Any, a: np.ndarray | None) -> float:
-        """Largest unbalanced force `r` over the largest force acting, inertia among them; worst formulation."""
-        state = self.state
-        pushes = np.linalg.norm(state.f_gp, axis=1)
-        pushes[: self._first_pulled] = 0.0
-        if self.f_load is not None:
-            pushes += np.linalg.norm(self.f_load, axis=1)
-        speedup = np.zeros_like(state.x)
-        for batch in self.model.batches if a is not None else ():
-            batch.push(state.q, a, speedup)
-        pull = max(float(np.linalg.norm(self.model.gravity)), float(np.sqrt((speedup**2).sum(axis=1).max(initial=0.0))))
-        return max((b.unbalance(state.x, r, pushes, pull, None) for b in self.model.batches), default=0.0)
-
-    def worst_block(self) -> str:
-        """The block with the largest unbalanced force, for messages."""
-        f = self.state.f.copy()
-        self.constraints.release(f)
-        push = np.zeros_like(self.state.x)
-        self.accelerate(f)
-        for batch in self.model.batches:
-            batch.push(self.state.q, self.a, push)
-        gp = int(np.argmax((push**2).sum(axis=1)))
-        return f"block {self.model.names[self.model.gp_block[gp]]!r}"
-
-    def numerical_loss(self, d: np.ndarray, v0: np.ndarray, v1: np.ndarray, a0: np.ndarray, a1: np.ndarray) -> float:
-        """What the rule of a step takes out of the motion [J]: work of the inertia forces less gain of kinetic energy."""
-        free = np.ones(len(d), dtype=bool)
-        free[self.constraints.held()] = False
-        work = 0.5 * float((d * self.mass_times(a0 + a1))[free].sum())
-        return work - 0.5 * float(((v1 + v0) * self.mass_times(v1 - v0))[free].sum())
-
-    # ------------------------------------------------------------------ hard contact
-
-    def harden(self) -> None:
-        """Leave the forces of penalty contacts out; impulses over the last step take their place."""
-        self.hard, self._hard_force = True, np.zeros_like(self.state.f_gp)
-        self._hard_points: tuple[Any, np.ndarray] | None = None
-        self._terms = self._choose_terms()
-        self.current = False
-
-    def commit_loads(self) -> None:
-        """Work of loads up to here, positions as those of the last commit."""
-        self.forces()
-        self.work += self.pending_work()
-        if self._load_old is not None:
-            self._load_old[:] = self.f_load
-        self.state.x_old[:] = self.state.x
-
-    def drift(self, h: float) -> None:
-        """Move the configuration by `h` [s] at the present velocities; look for contacts."""
-        state = self.state
-        for batch in self.model.batches:
-            batch.advance(state.q, state.v, h)
-            batch.place(state.q, state.x)
-        state.t += h
-        self.dt = h
-        self.current = False
-        if self.contacts is not None:
-            self.contacts.update(state.x)
-
-    def soft_forces(self) -> np.ndarray:
-        """Forces without contact, with mass-proportional damping (n_dofs,) [N, N m]."""
-        kept, self._hard_force = self._hard_force, np.zeros_like(self._hard_force)
-        self.current = False
-        f = self.forces().copy()
-        self._hard_force, self.current = kept, False
-        if self.rate is not None:
-            f -= self.mass_times(self.rate * self.state.v)
-        return f
-
-    def mobility(self, assembler: Any, h: float) -> Any:
-        """How velocities answer to impulses in the present configuration; `h` [s] is what stiffness acts over."""
-        from fdem.integrate.mobility import Mobility
-
-        return Mobility(assembler, assembler.mass(), assembler.soft(), h)
-
-    def prescribe_velocity(self, v: np.ndarray, h: float) -> None:
-        """Give constrained velocities their values."""
-        self.constraints.prescribe(v, self.state.q, self.q0, self.state.t, h)
-
-    def hard_points(self) -> Any:
-        """Points of hard contact in the present configuration; None where nothing can touch."""
-        if self.contacts is None or not self.contacts.n_patches:
-            return None
-        return hard.contact_points(self.contacts, self.state.x)
-
-    def pair_sizes(self) -> np.ndarray:
-        """Size of the smaller block of every pair [m]."""
-        size = self.contacts.surfaces.size
-        return np.minimum(size[self.contacts.slave], size[self.contacts.master])
-
-    def point_rows(self, points: Any, assembler: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Relative velocities of contact points over the unknowns: start, unknowns, values (entries, 3)."""
-        mobile = ~self.model.fixed[self.model.gp_block]
-        return hard.point_rows(points, assembler.placement(), mobile)
-
-    def impulse_problem(self, *parts: Any) -> Any:
-        """Contact problem; see `hard.problem`."""
-        return hard.problem(*parts)
-
-    def impulse_solver(self, tolerance: float, most: int) -> Any:
-        """Solver of contact problems."""
-        return hard.Solver(tolerance, most)
-
-    def after_impulses(self, points: Any, impulses: np.ndarray, before: np.ndarray, problem: Any, h: float) -> None:
-        """Keep the mean forces of the step for the tables, and count what contact dissipated."""
-        self._hard_force[:] = 0.0
-        self._hard_points = None
-        if points is None or not len(points):
-            return
-        world = np.einsum("nij,ni->nj", points.frame, impulses) / h
-        shares = points.w[:, :, None] * world[:, None, :]
-        np.add.at(self._hard_force, points.gp.ravel(), shares.reshape(-1, 3))
-        after = problem.relative(self.state.v)
-        after[:, 0] -= problem.bias
-        mean = 0.5 * (problem.relative(before) + after)
-        mean[:, 0] -= 0.5 * problem.bias
-        self.contacts.work[0] -= float((impulses[:, 1:] * mean[:, 1:]).sum())
-        self.contacts.work[1] -= float((impulses[:, 0] * mean[:, 0]).sum())
-        sliding = np.hypot(after[:, 1], after[:, 2])
-        self._hard_points = points, hard.table(self.contacts, points, impulses / h, sliding)
-
-    def contact_table(self) -> dict[str, Any]:
-        """Contact points as a dict of arrays: of the last forces, or of the last impulses."""
-        if self.hard:
-            return self._hard_points[1] if self._hard_points is not None else self.contacts.table(self.state.x)
-        table: dict[str, Any] = self.contacts.table(self.state.x)
-        return table
 
     def springs(self) -> Springs:
         """Contacts and bedded faces, as the bounds of frequencies see them."""
@@ -442,10 +261,26 @@ class System:
         for load in self.loads:
             if isinstance(load, Bedding):
                 bedding[load.gp] += np.linalg.norm(load.matrices, 2, axis=(1, 2))
-        return Springs(self.state.x, bedding, self.contacts, self.model.gp_block, ~self.model.fixed)
+        particles = None
+        if self.particles is not None:
+            particles = self.particles.springs(self.state.x, self._speeds())
+            bedding += particles.on_faces(len(bedding))
+        return Springs(self.state.x, bedding, self.contacts, self.model.gp_block, ~self.model.fixed, particles)
+
+    def _speeds(self) -> np.ndarray:
+        """Gridpoint velocities (n_gp, 3) [m/s]; zero in fictitious time."""
+        speed = np.zeros_like(self.state.x)
+        if not self.fictitious:
+            for batch in self.model.batches:
+                batch.push(self.state.q, self.state.v, speed)
+        return speed
 
     def stiffened(self) -> bool:
         """Whether contact stiffness grew by 2 % of its block's largest anywhere, or halved in all, since last asked."""
+        if self.particles is not None and self.particles.stiffened(self._speeds()):
+            return True
+        if self.contacts is None:
+            return False
         k, model = self.springs().k_gp, self.model
         if self._k_used is not None:
             largest = np.zeros(model.n_blocks)
@@ -454,15 +289,6 @@ class System:
                 return False
         self._k_used = k
         return True
-
-    def unseen_motion(self) -> float:
-        """Longest step [s] in which no block moves so far that a stiff contact goes unseen; infinite at rest."""
-        speed = np.zeros_like(self.state.x)
-        for batch in self.model.batches:
-            batch.push(self.state.q, self.state.v, speed)
-        fastest = float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
-        size = float(self.model.size[~self.model.fixed].min(initial=np.inf))
-        return MOTION * size / fastest if fastest > 0.0 else np.inf
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""
@@ -473,17 +299,13 @@ class System:
         return result
 
     def dashpot_rate(self) -> float:
-        """Bound of the decay rate 2 zeta omega [1/s] that dashpots on faces give a gridpoint."""
+        """Bound of the decay rate 2 zeta omega [1/s] that dashpots on faces give a gridpoint or a block."""
         rate = 0.0
         for load in self.loads:
             if isinstance(load, Dashpot):
-                strength = np.linalg.norm(load.matrices, 2, axis=(1, 2))
-                movable = self.model.gp_mass[load.gp] > 0
-                # the gridpoints of a block that moves as a whole share its mass; 4 covers its rotation
-                owner = self.model.gp_block[load.gp]
-                per_block = np.bincount(owner, strength, self.model.n_blocks)
-                lumped = np.where(load.gp < self._first_pulled, strength, 4.0 * per_block[owner])
-                rate = max(rate, float((lumped[movable] / self.model.gp_mass[load.gp][movable]).max(initial=0.0)))
+                strength = np.zeros(len(self.model.X))
+                strength[load.gp] = np.linalg.norm(load.matrices, 2, axis=(1, 2))
+                rate = max([rate, *(batch.decay_bound(self.state.q, strength) for batch in self.model.batches)])
         return rate
 
     @property
@@ -502,6 +324,14 @@ class System:
         self.fictitious = True
         springs = self.springs()
         self.scaled = [batch.scaled_masses(self.state.q, springs, swing) for batch in self.model.batches]
+        self.weigh()
+
+    def weigh(self) -> None:
+        """Tell conditions on blocks whose mass couples their unknowns what that mass is."""
+        for group in self.constraints.coupled:
+            batch, scaled = self.model.batch_of(group.block), self.scaled[self.model.batch_index[group.block]]
+            row = int(self.model.batch_row[group.block])
+            group.weigh(batch.inverse_mass(row, self.state.q, scaled), scaled is not None)
 
     def scaled_kinetic(self, v: np.ndarray) -> float:
         """``v.M v`` with the fictitious masses."""
@@ -516,8 +346,8 @@ class System:
     def kinetic(self) -> float:
         """Kinetic energy [J] of what is free to move, at the time of the configuration."""
         v = self.velocity()
-        if self._held is not None:
-            v[self._held] = 0.0
+        if self.constraints.moving:
+            v -= self.constraints.given(v)
         return sum(batch.kinetic(self.state.q, v) for batch in self.model.batches)
 
     def ratio(self) -> float:
@@ -526,12 +356,16 @@ class System:
         unbalanced = self.state.f.copy()
         self.constraints.release(unbalanced)
         pushes = np.linalg.norm(self.state.f_gp, axis=1)
-        pushes[: self._first_pulled] = 0.0  # there f_gp is the sum of all forces
+        pushes[: self.first_pulled] = 0.0  # there f_gp is the sum of all forces
+        if self.particles is not None:
+            self.particles.add_pushes(pushes)
         if self.f_load is not None:
             pushes += np.linalg.norm(self.f_load, axis=1)
         gravity = float(np.linalg.norm(self.model.gravity))
         pairs = zip(self.model.batches, self.scaled, strict=True)
-        shares = [batch.unbalance(self.state.x, unbalanced, pushes, gravity, scaled) for batch, scaled in pairs]
+        shares = [
+            batch.unbalance(self.state.q, self.state.x, unbalanced, pushes, gravity, scaled) for batch, scaled in pairs
+        ]
         return max(shares, default=0.0)
 
     def check(self) -> None:

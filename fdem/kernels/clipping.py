@@ -1,8 +1,7 @@
 """The clip that makes contact patches: surfaces of slaves cut by the depth cells of masters (CONTACT.md 3.1-3.3).
 
-A polygon on a slave face lives in the face's reference triangle: a corner is (w1, w2), the weights of the second
-and third reference gridpoint. A linear function in space is, on the face, given by its three values there; clipping
-a polygon by a plane needs nothing else. The same numbers hold in every affinely deformed position.
+A polygon on a slave face lives in the face's reference triangle: a corner is (w1, w2), the weights of the second and
+third reference gridpoint. A linear function in space is given on the face by its three values there: all a clip needs.
 
 The depth field of a master is ``d(x) = min over its faces g with x in R_g of n_g . (c_g - x)``. For convex masters
 ``R_g`` is everything, so cells are bounded by the bisectors with all other faces. For other masters ``R_g`` is bounded
@@ -79,6 +78,17 @@ def _extremes(poly, n, l0, l1, l2):
         low = min(low, v)
         high = max(high, v)
     return low, high
+
+
+@kernel
+def _mine(v):
+    """Whether the cell on the positive side of a wall of normal `v` (not short) owns what lies in the wall itself.
+
+    ``-v`` answers differently; round-off does not matter.
+    """
+    if abs(v[0]) > 1e-9:
+        return v[0] > 0.0
+    return v[1] > 0.0 if abs(v[1]) > 1e-9 else v[2] > 0.0
 
 
 @kernel
@@ -165,7 +175,7 @@ def _own_cell(f, xs, poly, count, snap, convex, corner_start, corner_x, normal, 
             continue
         _plane_values(wall[c], corner_x[c], xs, v)
         low, high = _extremes(poly, count, v[0], v[1], v[2])
-        if high <= snap:
+        if high <= snap and (low < -snap or not _mine(wall[c])):
             return 0, margin, max(-high, 0.0)
         margin = min(margin, max(low, 0.0))
         count = _cut(poly, count, v[0], v[1], v[2], snap, tmp)
@@ -189,6 +199,7 @@ def _own_cell(f, xs, poly, count, snap, convex, corner_start, corner_x, normal, 
             low, high = _extremes(bufs[q], m, v[0], v[1], v[2])
             margin = min(margin, max(low, 0.0))
             if low >= -snap:
+                work[q] = m if high > snap or _mine(wall[c]) else 0
                 continue
             if n_pieces < len(bufs):  # the part beyond the bisector but above the face
                 _copy(bufs[q], m, bufs[n_pieces])
@@ -299,10 +310,7 @@ def _rivals(
     f, around, xs, df, h, snap, n_pieces, convex, affine, all_faces, corner_start, corner_x, normal, wall, kind,
     lower, upper, bufs, work, tmp, part, dg, v, o, box,
 ):  # fmt: skip
-    """Take away what other faces of the master are nearer to; number of pieces, margin and miss as in `_own_cell`.
-
-    `around` are the faces that may be: all of a convex master with few of them, else those near the slave.
-    """
+    """Take away what the faces `around` of the master are nearer to; number of pieces, margin, miss as `_own_cell`."""
     margin, miss = np.inf, np.inf
     near = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
     lo0, lo1, lo2 = box[0, 0] - near, box[0, 1] - near, box[0, 2] - near
@@ -323,7 +331,9 @@ def _rivals(
             length = math.sqrt(2.0 - 2.0 * cosine)
             v[0], v[1], v[2] = (dg[0] - df[0]) / length, (dg[1] - df[1]) / length, (dg[2] - df[2]) / length
             low, high = _extremes(bufs[0], work[0], v[0], v[1], v[2])
-            if high <= snap:
+            for k in range(3):
+                o[k] = (normal[f, k] - normal[g, k]) / length
+            if high <= snap and (low < -snap or not _mine(o)):
                 return 0, margin, max(-high, 0.0)
             margin = min(margin, max(low, 0.0))
             work[0] = _cut(bufs[0], work[0], v[0], v[1], v[2], snap, tmp)
@@ -456,8 +466,8 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
 
 @kernel
 def clip_faces(
-    pair_start, faces, rival_start, rivals, master, window, size, max_corners, face_start, corner_start, corner_w, ref,
-    limit, convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
+    pair_start, faces, rival_start, rivals, master, window, size, most, max_corners, face_start, corner_start, corner_w,
+    ref, limit, convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
 ):  # fmt: skip
     """Cut faces of slaves by the depth cells of faces of masters: the patches of the pairs.
 
@@ -466,7 +476,7 @@ def clip_faces(
     | pair_start, faces, rival_start, rivals | | - | from `geometry.face_pairs` |
     | master | (n_pairs,) | - | block ids |
     | window | (n_pairs,) | m | patches are made up to this gap |
-    | size | (n_pairs,) | m | size of the smaller block |
+    | size, most | (n_pairs,) | m | size of the smaller block, largest depth that either block admits |
     | others | | | arrays of `Surfaces` and `FaceGeometry` |
 
     Returns
@@ -518,7 +528,7 @@ def clip_faces(
                 count, answer = 0, 0
                 if work[q] > 0:
                     count, answer = _within_limit(
-                        f, m, xs, df, min(limit[f], size[p]), bufs[q], work[q], FALSE_DEPTH * size[p], smallest, snap,
+                        f, m, xs, df, min(limit[f], most[p]), bufs[q], work[q], FALSE_DEPTH * size[p], smallest, snap,
                         prove, affine[m], face_start, corner_start, corner_x, normal, lower, upper, part, tmp, o,
                     )  # fmt: skip
                 if answer == 1:

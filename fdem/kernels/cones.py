@@ -1,10 +1,10 @@
 """Impulses at points of hard contact: relative velocities, the law as projections, matrices of Newton's method.
 
-A point has a row of three velocities (normal, two tangents) of the slave against the master, ``u = J v + b n``; rows are
-stored entry by entry: `dof` and `J` (entries, 3) from ``start[i]`` to ``start[i + 1]`` belong to point i. The law (Jean,
-1999; Acary and Brogliato, 2008): ``0 <= u_n`` and ``r_n >= -T``, one of them zero; ``|r_t| <= mu r_n + C``, and sliding
-against r_t where that is reached. With any factor rho > 0 it is ``r = P(r - rho u)`` (Alart and Curnier, Comput.
-Methods Appl. Mech. Engrg. 92 (1991) 353).
+A point has a row of three velocities (normal, two tangents) of the slave against the master, ``u = J v + b n``; rows
+are stored entry by entry: `dof` and `J` (entries, 3) from ``start[i]`` to ``start[i + 1]`` belong to point i. The law
+(Jean, 1999; Acary and Brogliato, 2008): ``0 <= u_n`` and ``r_n >= -T``, one of them zero; ``|r_t| <= mu r_n + C``, and
+sliding against r_t where that is reached. With any factor rho > 0 it is ``r = P(r - rho u)`` (Alart and Curnier,
+Comput. Methods Appl. Mech. Engrg. 92 (1991) 353).
 """
 
 from __future__ import annotations
@@ -89,6 +89,25 @@ def effective_masses(start, dof, J, diagonal, rho):
         for k in range(start[i], start[i + 1]):
             total += (J[k, 0] ** 2 + J[k, 1] ** 2 + J[k, 2] ** 2) / diagonal[dof[k]]
         rho[i] = 3.0 / total if total > 0.0 else 0.0
+
+
+@kernel
+def own_mobility(start, dof, J, bstart, bdof, B, n_dofs, W):
+    """``W_i = J_i B_i`` (n, 3, 3) of every point [1/kg]; `B` are the rows of ``A^-1 J^T``."""
+    kept = np.zeros((n_dofs, 3))
+    for i in range(len(W)):
+        for k in range(bstart[i], bstart[i + 1]):
+            for b in range(3):
+                kept[bdof[k], b] = B[k, b]
+        for a in range(3):
+            for b in range(3):
+                total = 0.0
+                for k in range(start[i], start[i + 1]):
+                    total += J[k, a] * kept[dof[k], b]
+                W[i, a, b] = total
+        for k in range(bstart[i], bstart[i + 1]):
+            for b in range(3):
+                kept[bdof[k], b] = 0.0
 
 
 @kernel

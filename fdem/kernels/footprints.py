@@ -12,7 +12,8 @@ import numpy as np
 
 from fdem._jit import kernel
 
-WHOLE, DILATES = 1, 8  # bits of a patch's flags, see kernels/patches.py
+SHARP = 1  # kind of an edge, see kernels/geometry.py
+WHOLE, DILATES, AJAR = 1, 8, 64  # bits of a patch's flags, see kernels/patches.py
 SQRT2 = math.sqrt(2.0)
 COS3 = (1.0, -0.5, -0.5)
 SIN3 = (0.0, math.sqrt(0.75), -math.sqrt(0.75))
@@ -222,6 +223,52 @@ def measure(gp, start, corners, offset, x, area, closed, align, depth, plane_dep
             centre[i, d] = c / 3.0
         n = _close(corners, start[i], start[i + 1], d0, d1, d2, poly)
         closed[i] = 0.5 * double * _moment_points(poly, n, pts) if n >= 3 else 0.0
+
+
+@kernel
+def along_edges(
+    use, face_m, gp, start, corners, x, area, depth, corner_start, corner_x, normal, kind, share, flags, reach
+):  # fmt: skip
+    """Tell patches in `use` (n,) that end at a sharp edge of their master face, where its cell ends at a bisector.
+
+    An open one (`depth` (n,) [m], its largest, below 0) goes beyond the edge and is flagged AJAR; a closed one ends
+    before it and gets the normal `reach` (n,) [m] `share` times its width. `area` (n,) [m2]; the others are arrays of
+    `Patches`, `Surfaces` and `FaceGeometry`.
+    """
+    place = np.empty(3)
+    for i in range(len(use)):
+        if not use[i]:
+            continue
+        f = face_m[i]
+        first, last = corner_start[f], corner_start[f + 1]
+        at_edge, longest = False, 0.0
+        for k in range(start[i], start[i + 1]):
+            w1, w2 = corners[k, 0], corners[k, 1]
+            v1, v2 = corners[start[i], 0], corners[start[i], 1]
+            far = 0.0
+            for d in range(3):
+                p, q, r = x[gp[i, 0], d], x[gp[i, 1], d], x[gp[i, 2], d]
+                place[d] = p + w1 * (q - p) + w2 * (r - p)
+                far += ((w1 - v1) * (q - p) + (w2 - v2) * (r - p)) ** 2
+            longest = max(longest, math.sqrt(far))
+            for c in range(first, last):
+                if kind[c] != SHARP:
+                    continue
+                e = c + 1 if c + 1 < last else first
+                ax, ay, az = (
+                    corner_x[e, 0] - corner_x[c, 0],
+                    corner_x[e, 1] - corner_x[c, 1],
+                    corner_x[e, 2] - corner_x[c, 2],
+                )
+                bx, by, bz = place[0] - corner_x[c, 0], place[1] - corner_x[c, 1], place[2] - corner_x[c, 2]
+                beyond = normal[f, 0] * (by * az - bz * ay) + normal[f, 1] * (bz * ax - bx * az)
+                beyond += normal[f, 2] * (bx * ay - by * ax)
+                beyond /= math.sqrt(ax * ax + ay * ay + az * az)
+                at_edge = at_edge or beyond > -2.0 * max(depth[i], 0.0)
+        if at_edge and depth[i] < 0.0:
+            flags[i] |= AJAR
+        elif at_edge:
+            reach[i] = min(reach[i], share * area[i] / longest)
 
 
 @kernel

@@ -1,6 +1,6 @@
 """Kernels over the history of contact points: carried along every step, inherited at a cut (CONTACT.md 3.7).
 
-Rows 3 i .. 3 i + 2 are the points of patch i. Columns 0-2 are elastic slip [m], 3 a flag, 4 slip distance, 5 dilation.
+Rows 3 i .. 3 i + 2 are the points of patch i. Columns 0-2 are elastic slip [m], 3 a bond, 4 slip distance, 5 dilation.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from fdem._jit import kernel
 
-FACING = 2  # bit of a patch's flags, see kernels/patches.py
+SMOOTH = 0.9  # cosine between slave faces above which history passes from one to the other
 
 
 @kernel
@@ -45,17 +45,26 @@ def _blend(points, i, old, first, w1, w2, memory, row):
 
 
 @kernel
-def carry_memory(gp, flags, x, x_old, points_old, active_old, memory_old, points, active, memory):
-    """Committed memory moved to the new points, its elastic slip turned with the frame of the slave face.
+def carry_memory(gp, x, x_old, points_old, active_old, area_old, memory_old, points, active, area, memory, lost):
+    """Committed memory of this step, its elastic slip turned with the frame of the slave face.
 
     The frame: first edge e, normal n, their product. A slip s becomes ``sum (s.e_old) e / |e_old||e|`` over the three.
+    Where the closed part of a patch changes, its points keep what they have, and slip is scaled so that its energy
+    stays: at the border of the closed part there is no pressure, hence no slip to be lost or won, and what comes and
+    goes there leaves no trace (interpolated, it would creep). `area_old` (n,) [m2] is that of each point before; `lost`
+    (n,) [m4] is ``sum a s^2`` of patches that open.
     """
     columns = memory.shape[1]
     for i in range(len(gp)):
-        if active[i] == 0:
-            continue
         lo = 3 * i
-        if active_old[i] == 0 or not flags[i] & FACING:
+        lost[i] = 0.0
+        if active[i] == 0:
+            if active_old[i]:
+                for row in range(lo, lo + 3):
+                    s0, s1, s2 = memory_old[row, 0], memory_old[row, 1], memory_old[row, 2]
+                    lost[i] += area_old[i] * (s0 * s0 + s1 * s1 + s2 * s2)
+            continue
+        if active_old[i] == 0:
             for row in range(lo, lo + 3):
                 for k in range(columns):
                     memory[row, k] = 0.0
@@ -71,67 +80,126 @@ def carry_memory(gp, flags, x, x_old, points_old, active_old, memory_old, points
         gx, gy, gz = ey * nz - ez * ny, ez * nx - ex * nz, ex * ny - ey * nx
         s = 1.0 / math.sqrt((ux * ux + uy * uy + uz * uz) * (ex * ex + ey * ey + ez * ez))
         t = 1.0 / math.sqrt((ox * ox + oy * oy + oz * oz) * (nx * nx + ny * ny + nz * nz))
+        st = s * t
+        if points[i, 0, 0] != points_old[i, 0, 0] or points[i, 0, 1] != points_old[i, 0, 1]:
+            stretch = math.sqrt(area_old[i] / area[lo])
+            s, t, st = s * stretch, t * stretch, st * stretch
         for row in range(lo, lo + 3):
-            w1, w2 = points[i, row - lo, 0], points[i, row - lo, 1]
-            if w1 == points_old[i, row - lo, 0] and w2 == points_old[i, row - lo, 1]:
-                s0, s1, s2 = memory_old[row, 0], memory_old[row, 1], memory_old[row, 2]
-                for k in range(3, 6):  # a constant length, which the compiler unrolls
-                    memory[row, k] = memory_old[row, k]
-                for k in range(6, columns):
-                    memory[row, k] = memory_old[row, k]
-            else:
-                _blend(points_old, i, memory_old, lo, w1, w2, memory, row)
-                s0, s1, s2 = memory[row, 0], memory[row, 1], memory[row, 2]
+            s0, s1, s2 = memory_old[row, 0], memory_old[row, 1], memory_old[row, 2]
             c0 = (s0 * ux + s1 * uy + s2 * uz) * s
             c1 = (s0 * ox + s1 * oy + s2 * oz) * t
-            c2 = (s0 * vx + s1 * vy + s2 * vz) * (s * t)
+            c2 = (s0 * vx + s1 * vy + s2 * vz) * st
             memory[row, 0] = c0 * ex + c1 * nx + c2 * gx
             memory[row, 1] = c0 * ey + c1 * ny + c2 * gy
             memory[row, 2] = c0 * ez + c1 * nz + c2 * gz
+            for k in range(3, 6):  # a constant length, which the compiler unrolls
+                memory[row, k] = memory_old[row, k]
+            for k in range(6, columns):
+                memory[row, k] = memory_old[row, k]
+
+
+@kernel
+def _places(gp, points, x, place, normal, size2):
+    """Places (n, 3, 3) of the points [m], normals (n, 2, 3) of slave and master face, squared sizes (n,) [m2]."""
+    for i in range(len(gp)):
+        for side in range(2):
+            a, b, c = gp[i, 3 * side], gp[i, 3 * side + 1], gp[i, 3 * side + 2]
+            square = 0.0
+            for d in range(3):
+                j, k = (d + 1) % 3, (d + 2) % 3
+                n = (x[b, j] - x[a, j]) * (x[c, k] - x[a, k]) - (x[b, k] - x[a, k]) * (x[c, j] - x[a, j])
+                normal[i, side, d] = n
+                square += n * n
+            for d in range(3):
+                normal[i, side, d] /= math.sqrt(square)
+        a, b, c = gp[i, 0], gp[i, 1], gp[i, 2]
+        for q in range(3):
+            w1, w2 = points[i, q, 0], points[i, q, 1]
+            for d in range(3):
+                place[i, q, d] = (1.0 - w1 - w2) * x[a, d] + w1 * x[b, d] + w2 * x[c, d]
+        size2[i] = 0.0
+        for q in range(3):
+            size2[i] = max(size2[i], _distance2(place, i, q, place, i, (q + 1) % 3))
+
+
+@kernel
+def _distance2(place, i, q, other, j, r):
+    """Squared distance of two points [m2]."""
+    s = 0.0
+    for d in range(3):
+        s += (place[i, q, d] - other[j, r, d]) ** 2
+    return s
+
+
+@kernel
+def _nearest(place, normal, size2, i, q, lo, hi, smooth, place_old, normal_old, size2_old, active_old):
+    """Row of the old point nearest to point q of patch i, -1 if none is within twice the size of either patch.
+
+    Only the patches lo..hi; if `smooth`, of them those whose faces continue the surfaces of this one on both sides.
+    """
+    best, row = np.inf, -1
+    for j in range(lo, hi):
+        if active_old[j] == 0:
+            continue
+        if smooth:
+            turned = False
+            for side in range(2):
+                along = 0.0
+                for d in range(3):
+                    along += normal[i, side, d] * normal_old[j, side, d]
+                turned |= along < SMOOTH
+            if turned:
+                continue
+        for r in range(3):
+            s = _distance2(place, i, q, place_old, j, r)
+            if s < best and s <= 4.0 * max(size2[i], size2_old[j]):
+                best, row = s, 3 * j + r
+    return row
 
 
 @kernel
 def inherit(
-    face_m, points, frames, begin_old, end_old, face_m_old, points_old, active_old, memory_old, active, memory,
+    pair, face_s, face_m, gp, points, active, memory, pair_old, face_s_old, face_m_old, gp_old, points_old, active_old,
+    memory_old, x,
 ):  # fmt: skip
-    """History of new patches from the old ones of the same pair (CONTACT.md 3.7).
+    """History of new patches from the old ones, which are sorted by pair and slave face (CONTACT.md 3.7).
 
-    The same faces: the linear field of the old points. Else the nearest old point on the same slave face, unless it is
-    further away than the patch is large; then the flag (column 3) stays 0. `begin_old`, `end_old` (n,) bound the old
-    patches of the same pair and slave face; `frames` (n, 3) is the metric (g11, g12, g22) of the reference triangle.
+    The same faces: the linear field of the old points. Else the nearest old point on faces that continue these two, so
+    that contact goes on across the lines of a mesh; else the nearest on the same slave face. A bond (column 3) stays
+    with its two faces, its failure goes along. `active` (n,) becomes 0 where nothing is inherited.
     """
-    for i in range(len(face_m)):
+    n, m = len(gp), len(gp_old)
+    place, normal, size2 = np.empty((n, 3, 3)), np.empty((n, 2, 3)), np.empty(n)
+    place_old, normal_old, size2_old = np.empty((m, 3, 3)), np.empty((m, 2, 3)), np.empty(m)
+    _places(gp, points, x, place, normal, size2)
+    _places(gp_old, points_old, x, place_old, normal_old, size2_old)
+    for i in range(n):
         if active[i] == 0:
             continue
+        first = np.searchsorted(pair_old, pair[i])
+        last = first + np.searchsorted(pair_old[first:], pair[i], side="right")
+        lo = first + np.searchsorted(face_s_old[first:last], face_s[i])
+        hi = lo
         exact = -1
-        for j in range(begin_old[i], end_old[i]):
-            if active_old[j] and face_m_old[j] == face_m[i]:
-                exact = j if exact == -1 else -2
+        while hi < last and face_s_old[hi] == face_s[i]:
+            if active_old[hi] and face_m_old[hi] == face_m[i]:
+                exact = hi if exact == -1 else -2
+            hi += 1
         found = False
-        size2 = 0.0
-        for q in range(3):
-            a1, a2 = points[i, q, 0] - points[i, (q + 1) % 3, 0], points[i, q, 1] - points[i, (q + 1) % 3, 1]
-            size2 = max(size2, frames[i, 0] * a1 * a1 + 2.0 * frames[i, 1] * a1 * a2 + frames[i, 2] * a2 * a2)
         for q in range(3):
             row = 3 * i + q
             if exact >= 0:
                 _blend(points_old, exact, memory_old, 3 * exact, points[i, q, 0], points[i, q, 1], memory, row)
                 found = True
                 continue
-            best, best_row, best_patch = np.inf, -1, -1
-            for j in range(begin_old[i], end_old[i]):
-                if active_old[j] == 0:
-                    continue
-                for r in range(3):
-                    a1, a2 = points[i, q, 0] - points_old[j, r, 0], points[i, q, 1] - points_old[j, r, 1]
-                    s = frames[i, 0] * a1 * a1 + 2.0 * frames[i, 1] * a1 * a2 + frames[i, 2] * a2 * a2
-                    if s < best:
-                        best, best_row, best_patch = s, 3 * j + r, j
-            if best_row >= 0 and best <= 4.0 * size2:
+            best = _nearest(place, normal, size2, i, q, first, last, True, place_old, normal_old, size2_old, active_old)
+            if best < 0:
+                best = _nearest(place, normal, size2, i, q, lo, hi, False, place_old, normal_old, size2_old, active_old)
+            if best >= 0:
                 for k in range(memory.shape[1]):
-                    memory[row, k] = memory_old[best_row, k]
-                if face_m_old[best_patch] != face_m[i]:
-                    memory[row, 3] = 0.0
+                    memory[row, k] = memory_old[best, k]
+                if face_m_old[best // 3] != face_m[i] or face_s_old[best // 3] != face_s[i]:
+                    memory[row, 3] = min(memory[row, 3], 0.0)
                 found = True
         if not found:
             active[i] = 0

@@ -2,8 +2,9 @@
 
 A point has a row of three velocities (normal, two tangents) of the slave against the master, ``u = J v``; its impulse
 ``r`` changes the velocities by ``B r`` with ``B = M^-1 J^T``. Both are stored by rows: entries ``start[i]`` to
-``start[i + 1]`` of `dof`, `J` (n, 3) and `B` (n, 3) belong to point i. The law at a point (Jean, 1999; Acary and Brogliato,
-2008): ``0 <= u_n + b`` and ``r_n >= -T``, one of them zero; ``|r_t| <= mu r_n + C``, and sliding where that is reached.
+``start[i + 1]`` of `dof`, `J` (n, 3) and `B` (n, 3) belong to point i. The law at a point (Jean, 1999; Acary and
+Brogliato, 2008): ``0 <= u_n + b`` and ``r_n >= -T``, one of them zero; ``|r_t| <= mu r_n + C``, and
+sliding where that is reached.
 """
 
 from __future__ import annotations

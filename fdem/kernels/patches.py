@@ -12,7 +12,9 @@ import numpy as np
 from fdem._jit import kernel
 
 WHOLE, FACING, DILATES, FLAT = 1, 2, 8, 16  # bits of a patch's flags; FLAT: face against face
-ALIGNED = 0.99
+AJAR = 64  # open at its cut and wider than the faces: cut anew when it closes
+ALIGNED = 0.99  # -n_a.n_f above which a patch keeps the normal of its master face
+STRIP = 0.02  # part of the pressure along the friction normal below which there is no friction
 
 
 @kernel
@@ -71,8 +73,8 @@ def weights_at(gp, thick, points, x, w):
 
 @kernel
 def fill_rows(
-    gp, flags, pair, thick, x, x_old, points, active, w, gap, area, align, normal, push, slip, facing_out, pair_area,
-    pair_normal, depth, face_normal,
+    gp, pair, cluster, thick, x, x_old, points, active, w, gap, area, align, normal, push, slip, facing_out,
+    pair_area, cluster_normal, foot, depth, face_normal,
 ):  # fmt: skip
     """Fill the rows of active patches, which the joint laws work on (CONTACT.md 3.5, 3.6).
 
@@ -82,14 +84,16 @@ def fill_rows(
     | points, active, depth, face_normal | | | from `close_patches` |
     | w | (3 n, 7) | - | out: weights, + slave, - master at the same place |
     | gap, area | (3 n,) | m, m2 | out: > 0 open; `area` holds the closed shares of `close_patches` before |
-    | align, normal | (3 n[, 3]) | - | out: -n_a.n_c, 0 on side strips; friction normal |
+    | cluster | (n,) | - | number of the patches that hang together with this one |
+    | align, normal | (3 n[, 3]) | - | out: -n_a.n_c, 0 where next to nothing; friction normal |
     | push, facing_out | (n[, 3]) | - | out: slave normal n_a, -n_a.n_f |
     | slip | (3 n, 3) | m | out: motion of the slave relative to the master since `x_old` |
-    | pair_area, pair_normal | (n_pairs[, 3]) | m2, N | out: closed area, summed normal force of unaligned patches |
+    | pair_area | (n_pairs,) | m2 | out: closed area |
+    | cluster_normal | (n_clusters, 3) | m3 | out: summed normal force over kn |
+    | foot | (n, 5) | - | out: normal of the master face; weights 5 and 6 that leave with weight 7 along it |
     """
-    for k in range(len(pair_area)):
-        pair_area[k] = 0.0
-        pair_normal[k, 0], pair_normal[k, 1], pair_normal[k, 2] = 0.0, 0.0, 0.0
+    pair_area[:] = 0.0
+    cluster_normal[:] = 0.0
     tet, du = np.empty(12), np.zeros((4, 3))
     unaligned, moving, p, q, r, t = False, False, -1, -1, -1, -1
     for i in range(len(gp)):
@@ -110,10 +114,14 @@ def fill_rows(
         push[i, 0], push[i, 1], push[i, 2] = nx, ny, nz
         facing = -(nx * fx + ny * fy + nz * fz)
         facing_out[i] = facing
+        foot[i, 0], foot[i, 1], foot[i, 2] = fx, fy, fz
+        foot[i, 3], foot[i, 4] = 0.0, 0.0
+        if thick[i]:
+            fall = fx * tet[9] + fy * tet[10] + fz * tet[11]
+            foot[i, 3] = (fx * tet[3] + fy * tet[4] + fz * tet[5]) / fall
+            foot[i, 4] = (fx * tet[6] + fy * tet[7] + fz * tet[8]) / fall
         share = double * area[3 * i] / 6.0
-        k = pair[i]
-        pair_area[k] += 3.0 * share
-        friction = (flags[i] & FACING) != 0
+        pair_area[pair[i]] += 3.0 * share
         ax, ay, az = x[a, 0] - x_old[a, 0], x[a, 1] - x_old[a, 1], x[a, 2] - x_old[a, 2]
         bx, by, bz = x[b, 0] - x_old[b, 0], x[b, 1] - x_old[b, 1], x[b, 2] - x_old[b, 2]
         cx, cy, cz = x[c, 0] - x_old[c, 0], x[c, 1] - x_old[c, 1], x[c, 2] - x_old[c, 2]
@@ -139,33 +147,38 @@ def fill_rows(
             gap[row] = -(depth[i, 0] * w0 + depth[i, 1] * w1 + depth[i, 2] * w2)
             pressed += min(gap[row], 0.0)
             area[row] = share
-            align[row] = facing if friction else 0.0
+            align[row] = facing
             normal[row, 0], normal[row, 1], normal[row, 2] = fx, fy, fz
-        if friction and facing <= ALIGNED:
-            unaligned = True
-            pair_normal[k, 0] += share * pressed * nx
-            pair_normal[k, 1] += share * pressed * ny
-            pair_normal[k, 2] += share * pressed * nz
+        k = cluster[i]
+        cluster_normal[k, 0] += share * pressed * nx
+        cluster_normal[k, 1] += share * pressed * ny
+        cluster_normal[k, 2] += share * pressed * nz
+        unaligned |= facing <= ALIGNED
     if unaligned:
-        _common_normals(active, align, pair, push, pair_normal, normal)
+        _common_normals(active, facing_out, cluster, push, cluster_normal, align, normal)
 
 
 @kernel
-def _common_normals(active, align, pair, push, pair_normal, normal):
-    """Friction frame of unaligned patches: the direction of their summed normal force in the pair (CONTACT.md 3.6)."""
+def _common_normals(active, facing, cluster, push, cluster_normal, align, normal):
+    """Friction frame of unaligned patches: the direction of the normal force of all that hangs together with them.
+
+    So the shares of an edge or a corner add up to the force there, and friction to mu times that (CONTACT.md 3.6).
+    """
     for i in range(len(active)):
-        if active[i] == 0 or align[3 * i] == 0.0 or align[3 * i] > ALIGNED:
+        if active[i] == 0 or facing[i] > ALIGNED:
             continue
-        k = pair[i]
-        cx, cy, cz = pair_normal[k, 0], pair_normal[k, 1], pair_normal[k, 2]
+        k = cluster[i]
+        cx, cy, cz = cluster_normal[k, 0], cluster_normal[k, 1], cluster_normal[k, 2]
         s = math.sqrt(cx * cx + cy * cy + cz * cz)
-        if not s > 0.0:
-            continue
-        cx, cy, cz = cx / s, cy / s, cz / s
-        facing = -(push[i, 0] * cx + push[i, 1] * cy + push[i, 2] * cz)
+        share = 0.0
+        if s > 0.0:
+            cx, cy, cz = cx / s, cy / s, cz / s
+            share = -(push[i, 0] * cx + push[i, 1] * cy + push[i, 2] * cz)
         for row in range(3 * i, 3 * i + 3):
-            normal[row, 0], normal[row, 1], normal[row, 2] = cx, cy, cz
-            align[row] = max(facing, 0.0)
+            align[row] = 0.0
+            if share > STRIP:
+                align[row] = share
+                normal[row, 0], normal[row, 1], normal[row, 2] = cx, cy, cz
 
 
 @kernel
@@ -189,18 +202,21 @@ def reduced_mass(gp, active, pair, pair_area, inverse_mass, inverse_gp, area, w,
 
 
 @kernel
-def scatter(gp, active, w, area, push, traction, f_gp):
+def scatter(gp, active, w, area, push, foot, traction, f_gp):
     """Add -p a n_a + t a on the slave and the opposite on the master to the gridpoints, serially in row order.
 
-    Weights of a side sum to one, so the first gridpoint gets what the others leave of the force. Forces on a master
-    face are summed as long as patches stay on it.
+    The part across the master's face is moved along itself to the face (`foot` from `fill_rows`): no moment changes,
+    and the pressure on a zoned master is that on its surface, not one from within the zone. Weights of a side sum to
+    one, so the first gridpoint gets what the others leave of the force. Forces on a master face are summed as long as
+    patches stay on it.
     """
     n = len(gp)
     m1x, m1y, m1z, m2x, m2y, m2z, m3x, m3y, m3z, mx, my, mz = 12 * (0.0,)
     for i in range(n):
         if active[i] == 0:
             continue
-        s1x, s1y, s1z, s2x, s2y, s2z, sx, sy, sz = 9 * (0.0,)
+        s1x, s1y, s1z, s2x, s2y, s2z, sx, sy, sz, across = 10 * (0.0,)
+        nx, ny, nz = foot[i, 0], foot[i, 1], foot[i, 2]
         for row in range(3 * i, 3 * i + 3):
             a, p = area[row], traction[row, 0]
             fx = a * (traction[row, 1] - p * push[i, 0])
@@ -214,6 +230,11 @@ def scatter(gp, active, w, area, push, traction, f_gp):
             m1x, m1y, m1z = m1x + v * fx, m1y + v * fy, m1z + v * fz
             m2x, m2y, m2z = m2x + u * fx, m2y + u * fy, m2z + u * fz
             m3x, m3y, m3z = m3x + t * fx, m3y + t * fy, m3z + t * fz
+            across += t * (fx * nx + fy * ny + fz * nz)
+        v, u = across * foot[i, 3], across * foot[i, 4]
+        m1x, m1y, m1z = m1x - v * nx, m1y - v * ny, m1z - v * nz
+        m2x, m2y, m2z = m2x - u * nx, m2y - u * ny, m2z - u * nz
+        m3x, m3y, m3z = m3x - across * nx, m3y - across * ny, m3z - across * nz
         g, h, k = gp[i, 0], gp[i, 1], gp[i, 2]
         f_gp[g, 0] += sx - s1x - s2x
         f_gp[g, 1] += sy - s1y - s2y
@@ -253,5 +274,7 @@ def stored_energy(area, gap, push_align, memory, kn, ks, active, lo, hi):
             continue
         for row in range(3 * i, 3 * i + 3):
             s = memory[row, 0] ** 2 + memory[row, 1] ** 2 + memory[row, 2] ** 2
-            total += 0.5 * area[row] * (kn[i] * gap[row] ** 2 * push_align[i] + ks[i] * s)
+            # not where a bond has failed and the faces stand apart
+            normal = kn[i] * gap[row] ** 2 * push_align[i] if gap[row] < 0.0 or memory[row, 3] > 0.0 else 0.0
+            total += 0.5 * area[row] * (normal + ks[i] * s)
     return total

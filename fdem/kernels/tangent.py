@@ -25,6 +25,47 @@ def _gradients(gp, i, thick, x, out):
 
 
 @kernel
+def _spread(i, row, w, foot, inner, sink, turn, shift, force, normal, gradients, height, out):
+    """Add the derivatives of one row's force, given to the gridpoints of slave and master, to ``out[i]``.
+
+    On the master the part along the face normal acts at the foot of the point, the rest at the point itself.
+    """
+    plane, dF, dn, across = np.empty((4, 3)), np.empty((3, 7, 3)), np.zeros((3, 7, 3)), 0.0
+    for d in range(3):
+        across += normal[d] * force[d]
+    for m in range(4):  # gradients within the face
+        along = normal[0] * gradients[m, 0] + normal[1] * gradients[m, 1] + normal[2] * gradients[m, 2]
+        for d in range(3):
+            plane[m, d] = gradients[m, d] - along * normal[d] if m < 3 else 0.0
+    for n in range(7):
+        for k in range(3):
+            for d in range(3):
+                value = inner[d, k] * w[row, n] - sink[d] * normal[k] * foot[n]
+                if n < 3:
+                    value += turn[d, 0] * shift[n, 0, k] + turn[d, 1] * shift[n, 1, k] + turn[d, 2] * shift[n, 2, k]
+                else:
+                    dn[d, n, k] = -plane[n - 3, d] * normal[k]
+                dF[d, n, k] = value
+    for n in range(7):
+        for k in range(3):
+            along = normal[0] * dF[0, n, k] + normal[1] * dF[1, n, k] + normal[2] * dF[2, n, k]
+            bent = dn[0, n, k] * force[0] + dn[1, n, k] * force[1] + dn[2, n, k] * force[2]
+            for m in range(7):
+                gap = foot[m] - w[row, m] if m >= 3 else 0.0
+                slide, roll = 0.0, 0.0
+                if m >= 3:
+                    slide = gradients[m - 3, k] * w[row, n]
+                    roll = plane[m - 3, k] * foot[n]
+                    for j in range(3):
+                        roll += height * plane[m - 3, j] * dn[j, n, k]
+                for d in range(3):
+                    value = w[row, m] * dF[d, n, k] + gap * normal[d] * along
+                    value -= (force[d] - across * normal[d]) * slide + across * normal[d] * roll
+                    value += gap * (dn[d, n, k] * across + normal[d] * bent)
+                    out[i, m, d, n, k] += value
+
+
+@kernel
 def contact_tangent(gp, active, thick, x, w, area, push, face_normal, traction, response, out):
     """Derivatives of the forces on the gridpoints of every patch with respect to their positions.
 
@@ -32,7 +73,7 @@ def contact_tangent(gp, active, thick, x, w, area, push, face_normal, traction, 
     |---|---|---|---|
     | gp, active, thick, push, face_normal | | | as in `patches.fill_rows` |
     | w, area, traction | (3 n, 7), (3 n,), (3 n, 4) | | rows, as the joint laws left them |
-    | response | (3 n, 4, 4) | Pa/m | derivatives of pressure and shear traction by depth and slip (rows p, t; columns d, s) |
+    | response | (3 n, 4, 4) | Pa/m | derivatives of (pressure, shear traction) by (depth, slip) |
     | out | (n, 7, 3, 7, 3) | N/m | out: d force of gridpoint (a, i) / d position of gridpoint (b, j) |
 
     Notes
@@ -79,14 +120,4 @@ def contact_tangent(gp, active, thick, x, w, area, push, face_normal, traction, 
                 for k in range(3):
                     shift[1, k, d], shift[2, k, d] = second[k], third[k]
                     shift[0, k, d] = -second[k] - third[k]
-            for m in range(7):
-                for n in range(7):
-                    for d in range(3):
-                        for k in range(3):
-                            value = w[row, m] * (inner[d, k] * w[row, n] - sink[d] * face_normal[i, k] * foot[n])
-                            if m >= 3:
-                                value -= force[d] * gradients[m - 3, k] * w[row, n]
-                            if n < 3:
-                                for j in range(3):
-                                    value += w[row, m] * turn[d, j] * shift[n, j, k]
-                            out[i, m, d, n, k] += value
+            _spread(i, row, w, foot, inner, sink, turn, shift, force, face_normal[i], gradients, height, out)

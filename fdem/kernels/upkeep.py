@@ -8,7 +8,7 @@ import numpy as np
 
 from fdem._jit import kernel
 
-FLAT = 16  # bit of a patch's flags, see kernels/patches.py
+FLAT, AJAR = 16, 64  # bits of a patch's flags, see kernels/patches.py
 
 
 @kernel
@@ -37,6 +37,30 @@ def block_motion(surface_gp, surface_start, x, x_ref, out):
             if not s <= far:
                 far = s
         out[b] = math.sqrt(far)
+
+
+@kernel
+def closing(gp, pair, flags, start, corners, offset, x, out):
+    """Mark pairs (n_pairs,) uint8 one of whose patches flagged AJAR has closed; returns whether there are any."""
+    found = False
+    for i in range(len(gp)):
+        if not flags[i] & AJAR:
+            continue
+        a, b, c = gp[i, 3], gp[i, 4], gp[i, 5]
+        ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        vx, vy, vz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        scale = math.sqrt(nx * nx + ny * ny + nz * nz)
+        p, q, r = gp[i, 0], gp[i, 1], gp[i, 2]
+        d0 = (nx * (x[a, 0] - x[p, 0]) + ny * (x[a, 1] - x[p, 1]) + nz * (x[a, 2] - x[p, 2])) / scale - offset[i, 0]
+        d1 = (nx * (x[a, 0] - x[q, 0]) + ny * (x[a, 1] - x[q, 1]) + nz * (x[a, 2] - x[q, 2])) / scale - offset[i, 1]
+        d2 = (nx * (x[a, 0] - x[r, 0]) + ny * (x[a, 1] - x[r, 1]) + nz * (x[a, 2] - x[r, 2])) / scale - offset[i, 2]
+        for k in range(start[i], start[i + 1]):
+            if d0 * (1.0 - corners[k, 0] - corners[k, 1]) + d1 * corners[k, 0] + d2 * corners[k, 1] > 0.0:
+                out[pair[i]] = 1
+                found = True
+                break
+    return found
 
 
 @kernel
@@ -125,3 +149,85 @@ def gridpoint_stiffness(gp, w, stiffness, mobile, soft, out):
                 for k in range(lo, hi):
                     if mobile[gp[i, k]]:
                         out[gp[i, k]] += both * stiffness[row] * scale * abs(w[row, k])
+
+
+@kernel
+def _touch(place, a, b, c, d, reach2):
+    """Whether a corner of the polygon ``place[a:b]`` lies within sqrt(reach2) of the border of ``place[c:d]``."""
+    for i in range(a, b):
+        px, py, pz = place[i, 0], place[i, 1], place[i, 2]
+        for j in range(c, d):
+            k = j + 1 if j + 1 < d else c
+            ex, ey, ez = place[k, 0] - place[j, 0], place[k, 1] - place[j, 1], place[k, 2] - place[j, 2]
+            vx, vy, vz = px - place[j, 0], py - place[j, 1], pz - place[j, 2]
+            square = ex * ex + ey * ey + ez * ez
+            t = min(max((vx * ex + vy * ey + vz * ez) / square, 0.0), 1.0) if square > 0.0 else 0.0
+            vx, vy, vz = vx - t * ex, vy - t * ey, vz - t * ez
+            if vx * vx + vy * vy + vz * vz <= reach2:
+                return True
+    return False
+
+
+@kernel
+def _root(root, i):
+    """First of the set that `i` belongs to."""
+    while root[i] != i:
+        root[i] = root[root[i]]
+        i = root[i]
+    return i
+
+
+@kernel
+def clusters(pair, aligned, gp, start, corners, x, reach, out):
+    """Number within its pair (n,) of the set of patches that hang together with each; patches are sorted by pair.
+
+    Two patches touch where a corner of one lies within `reach` (n_pairs,) [m] of the border of the other: tiles of one
+    surface do so only along common edges. Pairs all of whose patches are `aligned` need no clusters and get 0.
+    """
+    n = len(pair)
+    place, low, high = np.empty((len(corners), 3)), np.empty((n, 3)), np.empty((n, 3))
+    root = np.arange(n)
+    first = 0
+    while first < n:
+        last = first
+        plain = True
+        while last < n and pair[last] == pair[first]:
+            plain &= aligned[last]
+            last += 1
+        if plain or last - first == 1:
+            first = last
+            continue
+        far = reach[pair[first]]
+        for i in range(first, last):
+            a, b, c = gp[i, 0], gp[i, 1], gp[i, 2]
+            low[i], high[i] = np.inf, -np.inf
+            for k in range(start[i], start[i + 1]):
+                w1, w2 = corners[k, 0], corners[k, 1]
+                for d in range(3):
+                    place[k, d] = (1.0 - w1 - w2) * x[a, d] + w1 * x[b, d] + w2 * x[c, d]
+                    low[i, d], high[i, d] = min(low[i, d], place[k, d]), max(high[i, d], place[k, d])
+        axis, widest = 0, -1.0
+        for d in range(3):
+            spread = high[first:last, d].max() - low[first:last, d].min()
+            if spread > widest:
+                axis, widest = d, spread
+        order = first + np.argsort(low[first:last, axis], kind="mergesort")
+        for m in range(len(order)):
+            i = order[m]
+            for other in range(m + 1, len(order)):
+                j = order[other]
+                if low[j, axis] > high[i, axis] + far:
+                    break
+                apart = False
+                for d in range(3):
+                    apart |= low[j, d] > high[i, d] + far or low[i, d] > high[j, d] + far
+                if apart or _root(root, i) == _root(root, j):
+                    continue
+                if _touch(place, start[i], start[i + 1], start[j], start[j + 1], far * far) or _touch(
+                    place, start[j], start[j + 1], start[i], start[i + 1], far * far
+                ):
+                    a, b = _root(root, i), _root(root, j)
+                    root[max(a, b)] = min(a, b)
+        for i in range(first, last):
+            out[i] = _root(root, i) - first
+        first = last

@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["STATES", "Cells", "cell_stress", "cells_of", "contacts", "full_tensor", "group_ids", "mesh"]
+from fdem.results.balls import skins_of
+
+__all__ = ["FAILURES", "STATES", "Cells", "cell_stress", "cells_of", "contacts", "full_tensor", "group_ids", "mesh"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 STATES = ("intact", "closed", "slipping", "open")
+FAILURES = ("none", "tension", "shear")
 
 # xx yy zz yz zx xy -> xx xy xz yx yy yz zx zy zz, the order of VTK
 _FULL = np.array([0, 5, 4, 5, 1, 3, 4, 3, 2])
@@ -21,7 +24,7 @@ _FULL = np.array([0, 5, 4, 5, 1, 3, 4, 3, 2])
 
 @dataclass(frozen=True)
 class Cells:
-    """What a picture or a file is made of: all zones, then the surface triangles of blocks without zones.
+    """What a file is made of: all zones, then the surface triangles of blocks without zones, then spheres.
 
     Parameters
     ----------
@@ -29,9 +32,13 @@ class Cells:
         Gridpoints of the zones.
     triangles : (k, 3) int32 array
         Gridpoints of the surface triangles of the blocks that have no zones.
-    block : (m + k,) int32 array
+    surface : (k,) int32 array
+        Their rows among the surface triangles of the model.
+    balls : (n,) int32 array
+        Gridpoints in the centres of spheres.
+    block : (m + k + n,) int32 array
         Block of each cell.
-    group : (m + k,) int32 array
+    group : (m + k + n,) int32 array
         Index of the block's group in `groups`.
     groups : list of str
         Names of the groups; blocks without one are in "".
@@ -39,6 +46,8 @@ class Cells:
 
     zones: Ints
     triangles: Ints
+    surface: Ints
+    balls: Ints
     block: Ints
     group: Ints
     groups: list[str]
@@ -55,10 +64,13 @@ def group_ids(model: Any) -> tuple[Ints, list[str]]:
 def cells_of(model: Any) -> Cells:
     """Cells of a model (see `Cells`)."""
     bare = ~np.asarray(model.zoned, dtype=bool)[model.triangle_block]
-    block = np.concatenate([model.zone_block, model.triangle_block[bare]]).astype(np.int32)
+    block = np.concatenate([model.zone_block, model.triangle_block[bare], model.gp_block[model.balls]])
+    block = block.astype(np.int32)
     group, groups = group_ids(model)
     zones = np.asarray(model.zones, dtype=np.int32).reshape(-1, 4)
-    return Cells(zones, np.asarray(model.triangles[bare], dtype=np.int32), block, group[block], groups)
+    surface = np.flatnonzero(bare).astype(np.int32)
+    triangles = np.asarray(model.triangles[bare], dtype=np.int32)
+    return Cells(zones, triangles, surface, model.balls, block, group[block], groups)
 
 
 def full_tensor(voigt: Array) -> Array:
@@ -70,11 +82,11 @@ def full_tensor(voigt: Array) -> Array:
 
 
 def cell_stress(view: Any, cells: Cells) -> Array:
-    """Cauchy stress of each cell [Pa], tension positive, (n_cells, 6): the zone's, or its block's."""
-    stress = np.empty((len(cells.block), 6))
+    """Cauchy stress of each cell [Pa], tension positive, (n_cells, 6): the zone's, or its block's in that place."""
+    stress = np.full((len(cells.block), 6), np.nan)
     m = len(cells.zones)
     stress[:m] = view.zone_stresses() if m else 0.0
-    stress[m:] = view.block_stress()[cells.block[m:]]
+    stress[m : m + len(cells.surface)] = view.surface_stress(cells.surface)
     return stress
 
 
@@ -89,30 +101,38 @@ def mesh(view: Any) -> Any:
     Returns
     -------
     pyvista.UnstructuredGrid
-        Zones as tetrahedra, then blocks without zones as their surface triangles, at the current
-        positions. Points: ``displacement`` [m], ``velocity`` [m/s], ``gridpoint`` (number). Cells:
+        Zones as tetrahedra, then blocks without zones as their surface triangles, then spheres as faceted ones, at
+        the current positions. Points: ``displacement`` [m], ``velocity`` [m/s], ``gridpoint`` (number; of points
+        on a sphere that of its centre, which they move with). Cells:
         ``block``, ``group`` (numbers), ``stress`` [Pa] (9 components, tension positive; not a number
         where a body has none). Field: ``block_names``, ``group_names``, ``time`` [s], ``step``.
     """
     import pyvista as pv
 
     model = view.model
-    cells = cells_of(model)
+    cells, skins = cells_of(model), skins_of(model)
+    triangles = np.concatenate([cells.triangles, skins.triangles + len(model.X)])
     kinds = {}
     if len(cells.zones):
         kinds[pv.CellType.TETRA] = cells.zones
-    if len(cells.triangles):
-        kinds[pv.CellType.TRIANGLE] = cells.triangles
-    points = np.array(view.positions())
-    grid = pv.UnstructuredGrid(kinds, points) if kinds else pv.UnstructuredGrid()
+    if len(triangles):
+        kinds[pv.CellType.TRIANGLE] = triangles
     if not kinds:
-        return grid
-    grid.point_data["displacement"] = np.array(view.displacements())
-    grid.point_data["velocity"] = np.array(view.velocities())
-    grid.point_data["gridpoint"] = np.arange(len(points), dtype=np.int32)
-    grid.cell_data["block"] = cells.block
-    grid.cell_data["group"] = cells.group
-    grid.cell_data["stress"] = full_tensor(cell_stress(view, cells))
+        return pv.UnstructuredGrid()
+    gridpoint = np.concatenate([np.arange(len(model.X), dtype=np.int32), skins.gridpoint])
+    points = np.array(view.positions())[gridpoint]
+    points[len(model.X) :] += skins.offset
+    grid = pv.UnstructuredGrid(kinds, points)
+    grid.point_data["displacement"] = np.asarray(view.displacements())[gridpoint]
+    grid.point_data["velocity"] = np.asarray(view.velocities())[gridpoint]
+    grid.point_data["gridpoint"] = gridpoint
+    # all triangles of a sphere show what is known of it
+    faces = len(cells.zones) + len(cells.triangles)
+    each = np.bincount(skins.gridpoint[skins.triangles[:, 0]], minlength=len(model.X))[cells.balls]
+    cell = np.repeat(np.arange(len(cells.block)), np.concatenate([np.ones(faces, dtype=np.int64), each]))
+    grid.cell_data["block"] = cells.block[cell]
+    grid.cell_data["group"] = cells.group[cell]
+    grid.cell_data["stress"] = full_tensor(cell_stress(view, cells))[cell]
     _describe(grid, view, block_names=model.names, group_names=cells.groups)
     return grid
 
@@ -131,17 +151,18 @@ def contacts(view: Any) -> Any:
         One vertex per contact with ``block_a``, ``block_b``, ``joint`` (numbers), ``normal`` (from a
         to b), ``gap`` [m] (> 0 open), ``area`` [m^2], ``traction`` [Pa] (normal, compression positive,
         and two tangents), ``force`` [N] on block b in global axes, ``slip`` [m], ``state`` (0 intact,
-        1 closed, 2 slipping, 3 open). Field: ``joint_names``, ``state_names``, ``block_names``,
-        ``time`` [s], ``step``.
+        1 closed, 2 slipping, 3 open), ``failure`` of the bond (0 none, 1 tension, 2 shear), and what laws remember by
+        its name. Field: ``joint_names``, ``state_names``, ``failure_names``, ``block_names``, ``time`` [s], ``step``.
     """
     import pyvista as pv
 
     table = view.contact_table()
     points = np.array(table["position"], dtype=np.float64).reshape(-1, 3)
     cloud = pv.PolyData(points) if len(points) else pv.PolyData()
-    for name in ("block_a", "block_b", "joint", "normal", "gap", "area", "traction", "force", "slip", "state"):
+    for name in [key for key in table if key not in ("position", "patch", "frame", "joint_names")]:
         cloud.point_data[name] = np.array(table[name])
-    _describe(cloud, view, joint_names=table["joint_names"], state_names=STATES, block_names=view.model.names)
+    names = {"joint_names": table["joint_names"], "state_names": STATES, "failure_names": FAILURES}
+    _describe(cloud, view, **names, block_names=view.model.names)
     return cloud
 
 

@@ -15,16 +15,16 @@ from fdem.results.history import Every, as_every
 
 __all__ = ["Checkpoint", "Frames"]
 
-_TRIANGLE, _TETRA = 5, 10  # cell types of VTK
+_VERTEX, _TRIANGLE, _TETRA = 1, 5, 10  # cell types of VTK
 
 
 class Frames:
     """A series of frames in one VTKHDF file, which ParaView and pyvista open.
 
-    Points are the current positions [m]; point data ``displacement`` [m] and ``velocity`` [m/s]; cell
-    data ``block``, ``group`` (numbers) and ``stress`` [Pa] (9 components, tension positive); field data
-    ``group_names``, ``block_names`` and ``step``. The mesh is written once, and again when it changes
-    (excavation).
+    Points are the current positions [m]; point data ``displacement`` [m], ``velocity`` [m/s] and ``radius`` [m] (0 but
+    in the centres of spheres, which are cells of one point: glyphs of this size show them); cell data ``block``,
+    ``group`` (numbers) and ``stress`` [Pa] (9 components, tension positive); field data ``group_names``,
+    ``block_names`` and ``step``. The mesh is written once, and again when it changes (excavation).
 
     Parameters
     ----------
@@ -95,16 +95,20 @@ class Frames:
         """Append the cells: a new part, to which the frames that follow refer."""
         cells = self._cells
         assert cells is not None
-        m, k = len(cells.zones), len(cells.triangles)
-        connectivity = np.concatenate([cells.zones.ravel(), cells.triangles.ravel()])
-        offsets = np.concatenate([np.arange(0, 4 * m, 4), 4 * m + np.arange(0, 3 * k + 1, 3)])
+        m, k, n = len(cells.zones), len(cells.triangles), len(cells.balls)
+        connectivity = np.concatenate([cells.zones.ravel(), cells.triangles.ravel(), cells.balls])
+        offsets = np.concatenate([[0], np.cumsum(np.repeat([4, 3, 1], [m, k, n]))])
         root.attrs["part"] = [len(root[name]) for name in ("NumberOfCells", "Types", "Connectivity")]
         _append(root, "NumberOfPoints", [len(self._model.X)])
-        _append(root, "NumberOfCells", [m + k])
+        _append(root, "NumberOfCells", [m + k + n])
         _append(root, "NumberOfConnectivityIds", [len(connectivity)])
         _append(root, "Connectivity", connectivity)
         _append(root, "Offsets", offsets)
-        _append(root, "Types", np.repeat([_TETRA, _TRIANGLE], [m, k]))
+        _append(root, "Types", np.repeat([_TETRA, _TRIANGLE, _VERTEX], [m, k, n]))
+        radius = np.zeros(len(self._model.X))
+        radius[self._model.balls] = self._model.ball_radius
+        root.attrs["radius"] = len(root["PointData/radius"])
+        _append(root, "PointData/radius", radius)
         _append(root, "CellData/block", cells.block)
         _append(root, "CellData/group", cells.group)
         for name, values in (("group_names", cells.groups), ("block_names", self._model.names)):
@@ -138,6 +142,7 @@ class Frames:
         _append(root, "CellData/stress", full_tensor(cell_stress(view, cells)))
         _append(steps, "PointOffsets", [len(root["Points"])])
         _append(root, "Points", view.positions())
+        _append(steps, "PointDataOffsets/radius", [int(root.attrs["radius"])])
         for name, values in (("displacement", view.displacements()), ("velocity", view.velocities())):
             _append(steps, f"PointDataOffsets/{name}", [len(root[f"PointData/{name}"])])
             _append(root, f"PointData/{name}", values)
@@ -164,6 +169,7 @@ def _create(file: Any) -> Any:
     table("Points", "f8", 3)
     table("PointData/displacement", "f4", 3)
     table("PointData/velocity", "f4", 3)
+    table("PointData/radius", "f4")
     table("CellData/block", "i4")
     table("CellData/group", "i4")
     table("CellData/stress", "f4", 9)
@@ -176,7 +182,7 @@ def _create(file: Any) -> Any:
     table("Steps/CellOffsets", "i8", 1)
     table("Steps/ConnectivityIdOffsets", "i8", 1)
     for group, names in (
-        ("PointData", ("displacement", "velocity")),
+        ("PointData", ("displacement", "velocity", "radius")),
         ("CellData", ("block", "group", "stress")),
         ("FieldData", ("group_names", "block_names", "step")),
     ):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fdem.errors import SceneError
 from fdem.results import surfaces
+from fdem.results.balls import skins_of
 
 __all__ = ["Picture", "Sheet"]
 
@@ -32,7 +33,7 @@ class Sheet:
 
 @dataclass
 class Picture:
-    """Positions to draw and the blocks to draw; the cut, if any."""
+    """Positions to draw and the blocks to draw; the cut, if any. `gridpoint` is what each point moves with."""
 
     view: Any
     warp: float | str
@@ -40,19 +41,28 @@ class Picture:
     clip: Any
     note: str = field(init=False, default="")
     factor: float = field(init=False)
+    n_faces: int = field(init=False)
     thin: int | None = field(init=False)
 
     def __post_init__(self) -> None:
         model, view = self.model, self.view
         self.shown = ~_hidden(model, self.hide)
-        self.triangles: Ints = model.triangles[self.shown[model.triangle_block]]
-        self.block: Ints = model.triangle_block[self.shown[model.triangle_block]]
-        self.tag: Ints = model.triangle_tag[self.shown[model.triangle_block]]
+        # faces of blocks, then those of spheres, whose points move with their centres
+        faces, skins = self.shown[model.triangle_block], skins_of(model, self.shown)
+        self.n_faces = int(faces.sum())
+        self.gridpoint: Ints = np.concatenate([np.arange(len(model.X), dtype=np.int32), skins.gridpoint])
+        self.triangles: Ints = np.concatenate([model.triangles[faces], skins.triangles + np.int32(len(model.X))])
+        self.block: Ints = np.concatenate([model.triangle_block[faces], skins.block])
+        self.tag: Ints = np.concatenate([model.triangle_tag[faces], np.full(len(skins.block), -1, dtype=np.int32)])
+        # closed surfaces: the spheres of a clump overlap
+        centre = skins.gridpoint[skins.triangles[:, 0]]
+        self.part: Ints = np.concatenate([self.block[: self.n_faces], len(model.names) + centre])
         self.used = np.unique(self.triangles)
         if not len(self.used):
             raise SceneError("plot: nothing to draw, all blocks are hidden")
-        displacement = np.asarray(view.displacements())
-        self.positions: Array = np.asarray(view.positions(), dtype=np.float64)
+        displacement = np.asarray(view.displacements())[self.gridpoint]
+        self.positions: Array = np.asarray(view.positions(), dtype=np.float64)[self.gridpoint]
+        self.positions[len(model.X) :] += skins.offset
         positions = self.positions
         extent = np.ptp(positions[self.used], axis=0)
         if self.warp == "auto":
@@ -132,7 +142,7 @@ class Picture:
         tag : (k,) int32 array
             Joint set of a trace; also of an edge where a face of that set ends in one of none.
         """
-        lines, sides = surfaces.feature_edges(self.model.X, self.triangles)
+        lines, sides = surfaces.feature_edges(self.model.X, self.triangles[: self.n_faces])
         tags = self.tag[sides]
         tag = np.where(tags.min(axis=1) < 0, tags.max(axis=1), -1)
         if self.clip is None:
@@ -223,16 +233,16 @@ def _block_caps(picture: Picture, nodal: Array) -> list[Sheet]:
     """Blocks without zones cut by the plane."""
     model = picture.model
     bare = ~np.asarray(model.zoned, dtype=bool)[picture.block]
-    triangles, owner = picture.triangles[bare], picture.block[bare]
+    triangles, owner, part = picture.triangles[bare], picture.block[bare], picture.part[bare]
     cut = surfaces.section(picture.points, triangles, *picture.clip)
     if not len(cut.segments):
         return []
-    points, block = cut.interpolate(picture.points), owner[cut.triangle]
+    points, block, part = cut.interpolate(picture.points), owner[cut.triangle], part[cut.triangle]
     faces, faces_block = [], []
-    for b in np.unique(block):
-        filled = surfaces.cap(points, cut.segments[block == b], picture.clip[0])
+    for closed in np.unique(part):
+        filled = surfaces.cap(points, cut.segments[part == closed], picture.clip[0])
         faces.append(filled)
-        faces_block.append(np.full(len(filled), b, dtype=np.int32))
+        faces_block.append(np.full(len(filled), block[part == closed][0], dtype=np.int32))
     triangles = np.concatenate(faces)
     tag = np.full(len(triangles), -1, dtype=np.int32)
     return [Sheet(points, triangles, cut.interpolate(nodal), np.concatenate(faces_block), tag)]

@@ -105,7 +105,7 @@ def plot(
     if joints and picture.clip is None and picture.thin is not None:
         # joints of a flat scene are seen edge on: cut it in its middle and show their traces
         picture.clip = (picture.look(None), picture.points[picture.used].mean(axis=0))
-    sheet = picture.sheet(_nodal(view, scalars))
+    sheet = picture.sheet(_nodal(view, scalars)[picture.gridpoint])
     layers: list[Layer]
     scale: Scale | None
     if joints:
@@ -195,7 +195,7 @@ def _nodal(view: Any, scalars: str) -> Array:
     if scalars != "stress":
         return np.zeros((n, 1))
     # a gridpoint of a zoned block shows the mean of the zones around it
-    stress = np.asarray(view.block_stress(), dtype=np.float64)[model.gp_block]
+    stress = np.array(view.gridpoint_stress(), dtype=np.float64)
     if len(model.zones):
         zones = model.zones.ravel()
         count = np.bincount(zones, minlength=n)
@@ -310,8 +310,10 @@ def _joint_layers(
         raise SceneError(f"plot: {scalars} has no components, got {component!r}")
     values, scale = _scaled(values, values, label, _CONTACTS[scalars], signed, limits, cmap, "plasma_r")
     painter = _traces if picture.clip is not None else _patches
-    points, cells, contact = painter(picture, table)
-    shown = values[contact]
+    patches = np.flatnonzero(table["patch"] >= 0)
+    columns = ("area", "position", "normal", "block_a", "block_b")
+    points, cells, contact = painter(picture, {name: np.asarray(table[name])[patches] for name in columns})
+    shown = values[patches[contact]]
     assert scale.limits is not None
     # the small would hide the large behind it
     least = 0.05 * max(abs(scale.limits[0]), abs(scale.limits[1])) if scalars != "traction" else 0.0
@@ -329,6 +331,9 @@ def _joint_layers(
     if len(cells):
         lit = picture.clip is None
         layers.append(Layer(points, cells, values=shown, limits=scale.limits, cmap=scale.cmap, lit=lit))
+    points, cells, contact = _chains(picture, table)
+    if len(cells):
+        layers.append(Layer(points, cells, values=values[contact], limits=scale.limits, cmap=scale.cmap, width=4.0))
     return layers, scale
 
 
@@ -337,6 +342,7 @@ def _patches(picture: Picture, table: Any) -> tuple[Array, Ints, Ints]:
     # contacts are where blocks are, faces are drawn where `warp` puts them: both places side by side
     places = np.hstack([picture.positions, picture.points])
     lower = np.isin(picture.block, table["block_a"])
+    lower[picture.n_faces :] = False
     triangles, block = picture.triangles[lower], picture.block[lower]
     outward = surfaces.normals(picture.positions, triangles)
     size = 0.8 * float(np.sqrt(np.median(table["area"]))) if len(table["area"]) else 0.0
@@ -347,6 +353,22 @@ def _patches(picture: Picture, table: Any) -> tuple[Array, Ints, Ints]:
     good = contact >= 0
     good[good] = np.asarray(table["block_a"])[contact[good]] == block[parent][good]
     return np.ascontiguousarray(places[:, 3:]), pieces[good], contact[good]
+
+
+def _chains(picture: Picture, table: Any) -> tuple[Array, Ints, Ints]:
+    """Contacts of spheres as lines from the contact into the spheres: points, lines, contact of each."""
+    balls = np.zeros(len(picture.shown), dtype=bool)
+    balls[picture.model.gp_block[picture.model.balls]] = True
+    position, a, b = (np.asarray(table[name]) for name in ("position", "block_a", "block_b"))
+    # contacts have no displacement that could be drawn larger
+    seen = (table["patch"] < 0) & picture.shown[a] & picture.shown[b] & (picture.factor == 1.0)
+    if picture.clip is not None:
+        seen &= (position - picture.clip[1]) @ picture.clip[0] <= 0.0
+    contact = np.flatnonzero(seen).astype(np.int32)
+    arm: Array = np.sqrt(table["area"][contact] / np.pi)[:, None] * table["normal"][contact]
+    ends = [position[contact] - balls[a[contact], None] * arm, position[contact] + balls[b[contact], None] * arm]
+    lines = np.arange(2 * len(contact), dtype=np.int32).reshape(-1, 2)
+    return np.concatenate(ends, axis=1).reshape(-1, 3), lines, contact
 
 
 def _traces(picture: Picture, table: Any) -> tuple[Array, Ints, Ints]:

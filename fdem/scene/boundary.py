@@ -214,7 +214,7 @@ class Support:
 
 @dataclass(frozen=True)
 class Stress:
-    """In-situ stress [Pa], tension positive: starts zones and contact tractions.
+    """In-situ stress [Pa], tension positive: starts zones, strained blocks and contact tractions.
 
     Parameters
     ----------

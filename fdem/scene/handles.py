@@ -161,17 +161,20 @@ class JointRule:
         return 3 if self.where is not None else 2 if self.between is not None else 1 if self.target is not None else 0
 
 
+_SHARED: dict[frozenset[str], frozenset[str]] = {}  # one set for all names of the same kinds: there may be many
+
+
 @dataclass
 class Names:
     """The one namespace of blocks, groups, joint sets, cutting shapes and mesh tags."""
 
-    kinds: dict[str, set[str]] = field(default_factory=dict)
+    kinds: dict[str, frozenset[str]] = field(default_factory=dict)
 
     def check(self, name: str, kind: str) -> None:
         """Refuse a clash; only a cutting shape and the group its pieces join share a name."""
         if not isinstance(name, str) or not name:
             raise SceneError(f"{kind}: name = {name!r}, allowed is a text that is not empty")
-        have = self.kinds.get(name, set())
+        have = self.kinds.get(name, frozenset())
         if have - {kind} and have | {kind} != {"group", "cutting shape"}:
             raise SceneError(f"name {name!r} is taken by a {min(have - {kind})}, it cannot name a {kind} as well")
         if kind == "block" and kind in have:
@@ -180,7 +183,8 @@ class Names:
     def take(self, name: str, kind: str) -> None:
         """Give a name to a kind of thing, see `check`."""
         self.check(name, kind)
-        self.kinds.setdefault(name, set()).add(kind)
+        have = self.kinds.get(name, frozenset()) | {kind}
+        self.kinds[name] = _SHARED.setdefault(have, have)
 
     def unused(self, stem: str, first: int) -> str:
         """First of ``stem_first``, ``stem_(first + 1)``, ... that nothing is named by."""

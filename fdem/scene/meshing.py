@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from fdem.errors import MeshError
+from fdem.log import logger
 from fdem.scene.gmsh_session import ROUND, fill_surface, session
+from fdem.scene.interfaces import Interfaces
 from fdem.scene.surfaces import BlockSurface, SharedSurfaces
 from fdem.scene.tetmesh import TetMesh, boundary_facets
 
@@ -20,7 +23,7 @@ Array = Any
 # (gmsh algorithm, Netgen): HXT, HXT + Netgen, Delaunay, Delaunay + Netgen
 _RECIPES = ((10, False), (10, True), (1, False), (1, True))
 _GOOD = 0.1  # altitude over the shortest surface edge: below it another recipe is tried
-_TINY = 1e-9  # volume over the cube of the longest edge below which a zone is refused
+_TINY = 1e-12  # six volumes over the cube of the longest edge below which a zone is refused, as in TetMesh
 _VOLUME = 1e-5  # the zones must fill the block to this part
 _FAN = 1.25  # convex blocks within this many sizes of their centroid may be fanned
 _RENUMBER = 256  # points from which the order of memory matters
@@ -40,16 +43,24 @@ class ZoneMesh:
         Boundary, outward.
     triangle_face : (k,) int32 array
         Face of the polyhedron (of the surface of a `TetMesh`) each lies on.
+    size : float
+        Zone edge that the block asked for [m]; ``inf``: none.
     """
 
     points: Array
     tets: Array
     triangles: Array
     triangle_face: Array
+    size: float = np.inf
 
 
-def zone_meshes(shapes: Sequence[Any], sizes: Sequence[float | None]) -> list[ZoneMesh]:
-    """Divide blocks into zones, all at once, so that neighbours share the triangles of common faces.
+def zone_meshes(
+    shapes: Sequence[Any],
+    sizes: Sequence[float | None],
+    names: Sequence[Any] | None = None,
+    notes: list[str] | None = None,
+) -> list[ZoneMesh]:
+    """Divide blocks into zones, all at once, so that neighbours share the triangles of what their faces have in common.
 
     Parameters
     ----------
@@ -57,6 +68,10 @@ def zone_meshes(shapes: Sequence[Any], sizes: Sequence[float | None]) -> list[Zo
         The blocks; the zones of a `TetMesh` are taken as they are.
     sizes : sequence of (float or None)
         Target zone edge of each [m]; None: as few zones as possible (a convex block is joined to its centroid).
+    names : sequence, optional
+        What to call the blocks in messages; None: their number in `shapes`.
+    notes : list of str, optional
+        Gets what is worth telling: faces with one mesh, with meshes of their own.
 
     Returns
     -------
@@ -66,32 +81,66 @@ def zone_meshes(shapes: Sequence[Any], sizes: Sequence[float | None]) -> list[Zo
     Raises
     ------
     MeshError
-        If a block cannot be meshed; names it by its number in `shapes`.
+        If a block cannot be meshed; names it.
 
     Notes
     -----
     One gmsh model per block, in normalised coordinates: equal blocks get equal meshes anywhere and in any unit.
+    Where neighbours ask for different sizes the finer one wins on the common face. A block that gmsh cannot fill
+    from the shared surface gets a surface of its own.
     """
+    names = range(len(shapes)) if names is None else names
     meshes: list[ZoneMesh | None] = [None] * len(shapes)
     chosen: list[int] = []
-    for k, (shape, size) in enumerate(zip(shapes, sizes, strict=True)):
+    for k, shape in enumerate(shapes):
         if isinstance(shape, TetMesh):
             triangles = shape.triangles
             meshes[k] = ZoneMesh(shape.points, shape.tets, triangles, np.arange(len(triangles), dtype=np.int32))
-        elif size is None and shape.is_convex:
-            meshes[k] = _fan_of(shape, k)
         else:
             chosen.append(k)
     if chosen:
         targets = [np.inf if (size := sizes[k]) is None else float(size) for k in chosen]
-        surfaces = SharedSurfaces([shapes[k] for k in chosen], targets, chosen)
-        with session() as gmsh:
+        surfaces = SharedSurfaces([shapes[k] for k in chosen], targets, [names[k] for k in chosen])
+        # a convex block that asks for no size needs no gmsh
+        fans = [size == np.inf and shapes[k].is_convex for k, size in zip(chosen, targets, strict=True)]
+        alone = []
+        with nullcontext() if all(fans) else session() as gmsh:
             for place, k in enumerate(chosen):
-                meshes[k] = _filled(gmsh, shapes[k], targets[place], surfaces.surface(gmsh, place), k)
+                if fans[place] and not surfaces.is_finer(place):
+                    meshes[k] = _fan_of(shapes[k], names[k])
+                    continue
+                try:
+                    meshes[k] = _filled(gmsh, shapes[k], targets[place], surfaces.surface(gmsh, place), names[k])
+                except MeshError as error:
+                    logger.info("%s; it gets a surface mesh of its own", error)
+                    own = SharedSurfaces([shapes[k]], [targets[place]], [names[k]])
+                    meshes[k] = _filled(gmsh, shapes[k], targets[place], own.surface(gmsh, 0), names[k])
+                    alone.append(names[k])
+        if notes is not None:
+            notes.extend(_notes(surfaces.interfaces, alone))
     return [mesh for mesh in meshes if mesh is not None]
 
 
-def _fan_of(shape: Any, block: int) -> ZoneMesh:
+def _notes(interfaces: Interfaces, alone: list[Any]) -> list[str]:
+    """What became of the faces that blocks have in common."""
+    lines = []
+    if interfaces.shared:
+        lines.append(f"zones: {interfaces.shared} common faces of blocks carry one surface mesh")
+    if interfaces.separate:
+        lines.append(
+            f"zones: {interfaces.separate} overlaps of faces are left to independent meshes, a common one would be "
+            "much finer than the zones"
+        )
+    if alone:
+        several = ", ".join(repr(name) for name in alone[:5]) + (", ..." if len(alone) > 5 else "")
+        lines.append(
+            f"zones: {len(alone)} blocks ({several}) have surface meshes of their own, gmsh could not fill the shared "
+            "ones"
+        )
+    return lines
+
+
+def _fan_of(shape: Any, block: Any) -> ZoneMesh:
     """Join the triangles of a convex block's surface to its centroid."""
     triangles = np.asarray(shape.triangles)
     points = np.vstack([shape.points, shape.centroid])
@@ -132,7 +181,7 @@ class _Surface:
         return _smallest_altitude(points, tets), inside, tets
 
 
-def _filled(gmsh: Any, shape: Any, size: float, raw: BlockSurface, block: int) -> ZoneMesh:
+def _filled(gmsh: Any, shape: Any, size: float, raw: BlockSurface, block: Any) -> ZoneMesh:
     """Fill a surface mesh with zones and put everything into a fast order."""
     # numbers by place: what gmsh sees does not depend on how the scene was listed
     order = np.lexsort(raw.places.T[::-1])
@@ -141,10 +190,10 @@ def _filled(gmsh: Any, shape: Any, size: float, raw: BlockSurface, block: int) -
     triangles, owner = _sorted_triangles(number[raw.triangles], raw.triangle_face)
     surface = _Surface(shape, size, raw.points[order], raw.places[order], triangles, raw.middle, raw.extent)
     inside, tets = _best_fill(gmsh, surface, block)
-    return _renumbered(np.concatenate([surface.points, inside]), tets, triangles, owner)
+    return _renumbered(np.concatenate([surface.points, inside]), tets, triangles, owner, size)
 
 
-def _best_fill(gmsh: Any, surface: _Surface, block: int) -> tuple[Array, Array]:
+def _best_fill(gmsh: Any, surface: _Surface, block: Any) -> tuple[Array, Array]:
     """Points inside [m] and tets by the first good recipe, else by the best of all."""
     points, shape = surface.points, surface.shape
     if len(points) == 4:
@@ -153,7 +202,7 @@ def _best_fill(gmsh: Any, surface: _Surface, block: int) -> tuple[Array, Array]:
     found = []
     if shape.is_convex and np.linalg.norm(points - shape.centroid, axis=1).max() <= _FAN * surface.size:
         found = [mesh for mesh in [surface.judged(*surface.fan())] if mesh]
-        if found and found[0][0] >= 3.0 * wanted:
+        if found and (surface.size == np.inf or found[0][0] >= 3.0 * wanted):
             return found[0][1:]
     relative = float(np.rint(min(surface.size / surface.extent, 4.0) / ROUND) * ROUND)
     for algorithm, netgen in _RECIPES:
@@ -224,7 +273,7 @@ def _sorted_triangles(triangles: Array, owner: Array) -> tuple[Array, Array]:
     return np.ascontiguousarray(triangles[order]), owner[order]
 
 
-def _renumbered(points: Array, tets: Array, triangles: Array, owner: Array) -> ZoneMesh:
+def _renumbered(points: Array, tets: Array, triangles: Array, owner: Array, size: float) -> ZoneMesh:
     """Reverse Cuthill-McKee order of the points, zones and triangles sorted by point."""
     n = len(points)
     if n >= _RENUMBER:
@@ -244,4 +293,5 @@ def _renumbered(points: Array, tets: Array, triangles: Array, owner: Array) -> Z
         np.ascontiguousarray(tets, dtype=np.int32),
         np.ascontiguousarray(triangles, dtype=np.int32),
         np.ascontiguousarray(owner, dtype=np.int32),
+        size,
     )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
 
 from fdem.errors import SceneError
-from fdem.scene.bodies import Rigid, Zoned
+from fdem.scene.bodies import BODIES, Rigid
 from fdem.scene.checks import number, vector
 from fdem.scene.handles import (
     Applied,
@@ -27,7 +27,7 @@ from fdem.scene.handles import (
 )
 from fdem.scene.joints import Bonded, Joint
 from fdem.scene.materials import Elastic
-from fdem.scene.shapes import Shape, Surface
+from fdem.scene.shapes import Balls, Shape, Surface
 
 __all__ = ["Applied", "Block", "Fix", "Gridpoint", "JointRule", "Scene", "Where", "choose", "surface_of", "tags_of"]
 
@@ -68,7 +68,7 @@ class Scene:
     def add(
         self,
         shape: Any,
-        body: Rigid | Zoned,
+        body: Any,
         material: Elastic | None = None,
         *,
         name: str | None = None,
@@ -83,7 +83,7 @@ class Scene:
         ----------
         shape : Shape or list of Shape
             Geometry [m]; closed pyvista surfaces, skfem and meshio meshes are shapes too.
-        body : Rigid or Zoned
+        body : Rigid, UniformStrain, LinearStrain or Zoned
             How it moves.
         material : Elastic, optional
             What it is made of; not needed by fixed rigid blocks.
@@ -104,25 +104,23 @@ class Scene:
         SceneError
             If a value is wrong; the message names block, field and value.
         """
-        if isinstance(shape, (list, tuple)):
-            names: Iterable[str | None] = [None if name is None else f"{name}_{i}" for i in range(len(shape))]
-            given = dict(group=group, fixed=fixed, velocity=velocity, angular_velocity=angular_velocity)
-            if not shape:
-                raise SceneError("add: the list of shapes is empty")
-            return [self.add(s, body, material, name=n, **given) for s, n in zip(shape, names, strict=True)]  # type: ignore[arg-type]
+        several = isinstance(shape, (list, tuple))
+        if several and not shape:
+            raise SceneError("add: the list of shapes is empty")
+        first = self._names.unused("block", len(self.handles)) if name is None else name
+        moves = {"velocity": velocity, "angular_velocity": angular_velocity}
+        # one array for all blocks of a list
+        given: dict[str, Any] = {key: vector(f"block {first!r}", key, value) for key, value in moves.items()}
+        given |= {"body": body, "material": material, "group": group, "fixed": bool(fixed)}
+        if not several:
+            return self._add(shape, name, given)
+        return [self._add(s, None if name is None else f"{name}_{i}", given) for i, s in enumerate(shape)]
+
+    def _add(self, shape: Any, name: str | None, given: dict[str, Any]) -> Block:
         label = self._names.unused("block", len(self.handles)) if name is None else name
         self._names.check(label, "block")
-        block = Block(
-            self,
-            label,
-            shape=as_shape(shape),
-            body=body,
-            material=material,
-            group=group,
-            fixed=bool(fixed),
-            velocity=vector(f"block {label!r}", "velocity", velocity),
-            angular_velocity=vector(f"block {label!r}", "angular_velocity", angular_velocity),
-        )
+        group = given["group"]
+        block = Block(self, label, shape=as_shape(shape), **given)
         self.check(block)
         wanted = [(label, "block"), *([] if group is None else [(group, "group")])]
         wanted += [(tag, "tag") for tag in sorted(tags_of(block.shape))]
@@ -147,15 +145,17 @@ class Scene:
             Naming block, field and value.
         """
         who, body, material = f"block {block.name!r}", block.body, block.material
-        if not isinstance(body, (Rigid, Zoned)):
-            raise SceneError(f"{who}: body = {body!r}, allowed are Rigid() and Zoned()")
+        if not isinstance(body, BODIES):
+            raise SceneError(f"{who}: body = {body!r}, allowed are {', '.join(f'{k.__name__}()' for k in BODIES)}")
         if material is not None and not isinstance(material, Elastic):
             raise SceneError(f"{who}: material = {material!r}, allowed is an Elastic")
+        if isinstance(block.shape, Balls) and (body.deforms or callable(getattr(material, "density", None))):
+            raise SceneError(f"{who}: spheres and clumps are Rigid() and of one density; an icosphere need not be")
         if isinstance(block.shape, Surface) and not (block.fixed and isinstance(body, Rigid)):
             raise SceneError(f"{who}: shape is an open surface: only fixed rigid blocks can have one")
         if material is None and not block.fixed:
             raise SceneError(f"{who}: material is missing; only fixed blocks need none")
-        if isinstance(body, Zoned) and not block.fixed and (material is None or material.young is None):
+        if body.deforms and not block.fixed and (material is None or material.young is None):
             raise SceneError(f"{who}: material has no young and poisson, a deformable block needs both")
 
     def regroup(self, block: Block, group: str | None) -> None:
@@ -224,7 +224,8 @@ class Scene:
         law : Joint
             The law.
         target : selector, optional
-            None: every contact; a group: contacts with a block in it; a joint set: its faces.
+            None: every contact; a group: contacts with a block in it; a joint set: contacts between faces it made;
+            a mesh tag: contacts with a face of that tag.
         between : (selector, selector), optional
             One block in each.
         where : callable, optional
@@ -253,7 +254,7 @@ class Scene:
         return rule
 
     def fix(self, target: Any = None, component: Any = None, where: Where | None = None) -> Fix:
-        """Fix gridpoints, or whole rigid blocks.
+        """Fix gridpoints of zoned blocks, or whole blocks of other kinds (strain included, unless with "rotation").
 
         Parameters
         ----------
@@ -380,7 +381,7 @@ class Scene:
             for block in handle.tree():
                 if block.name == name:
                     return [(leaf, None) for leaf in block.leaves()]
-        kinds = self._names.kinds.get(name, set())
+        kinds = self._names.kinds.get(name, frozenset())
         blocks = self.blocks
         if kinds in ({"joint set"}, {"cutting shape"}, {"tag"}):
             return [(block, name) for block in blocks if name in tags_of(block.shape)]

@@ -11,6 +11,7 @@ import fdem
 pytestmark = pytest.mark.filterwarnings("ignore::fdem.FdemWarning")  # coarse meshes: lumped inertia
 
 G = 9.81
+KINDS = {"rigid": fdem.Rigid(), "uniform": fdem.UniformStrain(), "linear": fdem.LinearStrain(), "zoned": fdem.Zoned()}
 LOWER, UPPER = [0.0, 0.3, 0.7, 1.0], [0.0, 0.22, 0.5, 0.81, 1.0]
 YOUNG, POISSON, PRESSURE, KN = 1e10, 0.2, 1e6, 1e11
 ROCK = fdem.Elastic(density=2500, young=YOUNG, poisson=POISSON)
@@ -43,15 +44,16 @@ def zones_uniform(sim, block, rel):
 def nodal_forces(sim, block, z):
     """Contact force on every gridpoint of the face z: what the zones there and the weight leave over."""
     view = sim[block]
-    corners, stress = view.gridpoints[view.zones], view.zone_stress
+    place, stress = view.gridpoints - view.gridpoint_displacement, view.zone_stress  # small strain: as it was
+    corners = place[view.zones]
     edges = corners[:, 1:] - corners[:, :1]
     volume = np.abs(np.linalg.det(edges)) / 6
     gradient = np.swapaxes(np.linalg.inv(edges), 1, 2)
     gradient = np.concatenate([-gradient.sum(axis=1, keepdims=True), gradient], axis=1)
-    force = np.zeros(len(view.gridpoints))
+    force = np.zeros(len(place))
     pull = volume[:, None] * np.einsum("nki,ni->nk", gradient, stress[:, [4, 3, 2]])
     np.add.at(force, view.zones, pull)
-    return force[np.abs(view.gridpoints[:, 2] - view.gridpoint_displacement[:, 2] - z) < 1e-9]
+    return force[np.abs(place[:, 2] - z) < 1e-9]
 
 
 def consistent(grid):
@@ -63,12 +65,10 @@ def consistent(grid):
     return PRESSURE * share.ravel()
 
 
-@pytest.mark.parametrize(("kn", "scatter"), [(KN, 1e-4), (1e13, 1e-6)])
-def test_patch_zoned_on_zoned(kn, scatter):
-    """Two zoned blocks, 3 x 3 against 4 x 4 faces: uniform stress, resultant, centre, shortening, nodal forces.
+@pytest.mark.parametrize("kn", [KN, 1e13])
+def test_patch_zoned_on_zoned(kn):
+    """Two zoned blocks, 3 x 3 against 4 x 4 faces: uniform stress, resultant, centre, shortening, nodal forces to 1e-6.
 
-    The rim of two flush faces, as wide as the closure, lies nearer to the sides than to the face: the stress there
-    is off by closure / zone size, 5e-5 with the stiffness of the case (its tolerance is 1e-6) and 5e-7 with 1e13.
     Small strain, as the closed form.
     """
     scene = fdem.Scene(gravity=(0, 0, 0))
@@ -81,7 +81,7 @@ def test_patch_zoned_on_zoned(kn, scatter):
     sim = fdem.Simulation(scene, fdem.Relaxation())
     assert sim.solve(ratio=1e-9).converged
     for block in (lower, upper):
-        zones_uniform(sim, block, scatter)
+        zones_uniform(sim, block, 1e-6)
     assert sim.pair_force(upper, lower)[2] == pytest.approx(-PRESSURE, rel=1e-8)
     load = sim.contact_table()
     weight = load["force"][:, 2] / load["force"][:, 2].sum()
@@ -89,10 +89,11 @@ def test_patch_zoned_on_zoned(kn, scatter):
     centre = 0.5 * (face.min(axis=0) + face.max(axis=0))[:2]
     assert (weight @ load["position"])[:2] == pytest.approx(centre, abs=1e-8)
     top = sim[upper].gridpoints[:, 2] > 1.9
-    shortening = 2 * PRESSURE / YOUNG + PRESSURE / kn
-    assert -sim[upper].gridpoint_displacement[top, 2] == pytest.approx(shortening, rel=scatter)
-    assert nodal_forces(sim, upper, 1.0) == pytest.approx(consistent(UPPER), rel=4 * scatter + 1e-4)
-    assert nodal_forces(sim, lower, 1.0) == pytest.approx(-consistent(LOWER), rel=4 * scatter + 1e-4)
+    # the contact is as wide as the blocks have become
+    shortening = 2 * PRESSURE / YOUNG + PRESSURE / kn / (1 + POISSON * PRESSURE / YOUNG) ** 2
+    assert -sim[upper].gridpoint_displacement[top, 2] == pytest.approx(shortening, rel=1e-6)
+    assert nodal_forces(sim, upper, 1.0) == pytest.approx(consistent(UPPER), rel=1e-6)
+    assert nodal_forces(sim, lower, 1.0) == pytest.approx(-consistent(LOWER), rel=1e-6)
 
 
 @pytest.mark.parametrize("grid", [LOWER, UPPER])
@@ -111,29 +112,6 @@ def test_patch_zoned_on_rigid(grid):
     assert table["traction"][table["area"] > 0.01, 0] == pytest.approx(PRESSURE, rel=1e-6)
 
 
-@pytest.mark.parametrize("lower_zoned", [True, False])
-def test_patch_prescribed_closure(lower_zoned):
-    """Every point of a uniformly closed interface carries kn times the closure, to 8 eps L / closure."""
-    scene = fdem.Scene(gravity=(0, 0, 0))
-    if lower_zoned:
-        lower = scene.add(graded(LOWER, 0.0), fdem.Zoned(), ROCK, name="lower")
-        scene.fix(lower, component=("x", "y", "z"))
-    else:
-        lower = scene.add(fdem.brick((-1, -1, -1), (2, 2, 1)), fdem.Rigid(), fixed=True, name="lower")
-    upper = scene.add(graded(UPPER, 1.0), fdem.Zoned(), ROCK, name="upper")
-    scene.joint(fdem.Coulomb(kn=KN, ks=KN, friction=30))
-    scene.apply(fdem.Velocity((0, 0, -1e-3)), upper)
-    sim = fdem.Simulation(scene, fdem.Explicit(dt=1e-3))
-    sim.cycle(10)
-    closure = -sim[upper].displacement[2]
-    assert closure == pytest.approx(1e-5, rel=1e-9)
-    table = sim.contact_table()
-    facing = np.abs(table["normal"][:, 2]) > 0.5
-    limit = 8 * np.finfo(float).eps / closure
-    assert np.abs(table["traction"][facing, 0] / (KN * closure) - 1).max() <= limit
-    assert sim.pair_force(lower, upper)[2] == pytest.approx(KN * closure, rel=limit if not lower_zoned else 1e-4)
-
-
 SHEAR = {"kn": 1e10, "ks": 5e9, "friction": 30.0, "cohesion": 1e5, "tension": 5e4, "residual_cohesion": 1e5}
 TAU = 1e5 + 1e6 * np.tan(np.radians(30.0))
 U_MAX = 4e-4
@@ -143,12 +121,13 @@ def shear_box(body):
     """An upper half of 1 m2 on a wider base, 1 MPa on it, pushed along x by a velocity whose factor is set later."""
     scene = fdem.Scene(gravity=(0, 0, 0))
     scene.add(fdem.brick((-1, -1, -1), (2, 2, 0)), fdem.Rigid(), fixed=True, name="base")
-    if body == "rigid":
-        upper = scene.add(fdem.brick((0, 0, 0), (1, 1, 0.5)), fdem.Rigid(), ROCK, name="upper")
-        scene.fix(upper, component=("y", "rotation"))
+    stiff = fdem.Elastic(density=2500, young=YOUNG, poisson=0.0)
+    if body != "zoned":
+        upper = scene.add(fdem.brick((0, 0, 0), (1, 1, 0.5)), KINDS[body], stiff, name="upper")
+        # of a block that bends y is held in all its points: sideways slip would take its time to come to rest
+        scene.fix(upper, component="y" if body == "linear" else ("y", "rotation"))
     else:
         points, tets = box_mesh((2, 2, 1), (1, 1, 0.5))
-        stiff = fdem.Elastic(density=2500, young=YOUNG, poisson=0.0)
         upper = scene.add(fdem.tet_mesh(points, tets), fdem.Zoned(), stiff, name="upper")
         scene.fix(upper, component="y")
     scene.joint(fdem.Coulomb(**SHEAR))
@@ -164,7 +143,7 @@ def pushed(sim, drive, distance, steps):
     return sim.pair_force("upper", "base")[0]
 
 
-@pytest.mark.parametrize("body", ["rigid", "zoned"])
+@pytest.mark.parametrize("body", KINDS)
 def test_direct_shear_quasi_static(body):
     """tau = min(ks u, c + sn tan phi) and its loop to 1e-6; dissipation to 1 %, in fact to round-off."""
     scene, load, drive = shear_box(body)
@@ -226,12 +205,12 @@ def on_table(body, mu, velocity=(0.0, 0.0, 0.0)):
     def scene_of(speed):
         scene = fdem.Scene(gravity=(0, 0, -G))
         scene.add(fdem.brick((-2, -2, -1), (4, 3, 0)), fdem.Rigid(), fixed=True, name="base")
-        stone = fdem.Elastic(density=4000, young=YOUNG, poisson=0.2)
-        if body == "rigid":
-            shape, kind = fdem.brick((0, 0, 0), (0.5, 0.5, 0.1)), fdem.Rigid()
-        else:
-            shape, kind = fdem.tet_mesh(*box_mesh((3, 3, 1), (0.5, 0.5, 0.1))), fdem.Zoned()
-        block = scene.add(shape, kind, stone, name="block", velocity=speed)
+        # one strain for the whole block: soft rock, so that the step is not short (one that bends would flutter)
+        stone = fdem.Elastic(density=4000, young=1e8 if body == "uniform" else YOUNG, poisson=0.2)
+        shape = fdem.brick((0, 0, 0), (0.5, 0.5, 0.1))
+        if body == "zoned":
+            shape = fdem.tet_mesh(*box_mesh((3, 3, 1), (0.5, 0.5, 0.1)))
+        block = scene.add(shape, KINDS[body], stone, name="block", velocity=speed)
         scene.joint(fdem.Coulomb(kn=1e9, ks=1e9, friction=np.degrees(np.arctan(mu))))
         return scene, block
 
@@ -240,7 +219,9 @@ def on_table(body, mu, velocity=(0.0, 0.0, 0.0)):
     return (*scene_of(velocity), settled)
 
 
-@pytest.mark.parametrize("body", ["rigid", "zoned"])
+@pytest.mark.parametrize(
+    "body", [kind if kind != "linear" else pytest.param(kind, marks=pytest.mark.long) for kind in KINDS]
+)
 def test_stopping_block(body):
     """3 m/s, mu = 0.4: stops after v0^2 / (2 mu g) to 0.2 %; energy audit to 1e-3 of m v0^2 / 2."""
     mu, v0 = 0.4, 3.0

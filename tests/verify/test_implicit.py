@@ -1,4 +1,4 @@
-"""Implicit, quasi-static and non-smooth integrators on problems with a closed form: incline, stack, arch, spring, top."""
+"""Implicit, quasi-static and non-smooth integrators on problems with a closed form: incline, stack, arch, spring."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_static_arch_carries_its_weight(body):
 
 
 def test_static_says_what_cannot_stand():
-    scene, block = slope(29.0)
+    scene, _ = slope(29.0)
     report = fdem.Simulation(scene, fdem.Static()).solve()
     assert not report.converged and report.reason == "collapse"
     sim = fdem.Simulation(scene, fdem.Static())

@@ -14,13 +14,18 @@ ROCK = fdem.Elastic(DENSITY, YOUNG, POISSON)
 SIZE = np.array([1.0, 2.0, 3.0])
 MASS = DENSITY * SIZE.prod()
 INERTIA = MASS / 12 * np.diag([13.0, 10.0, 5.0])
-BODIES = {"rigid": fdem.Rigid(), "zoned": fdem.Zoned(mass="inertia-matched")}
+BODIES = {
+    "rigid": fdem.Rigid(),
+    "uniform": fdem.UniformStrain(),
+    "linear": fdem.LinearStrain(),
+    "zoned": fdem.Zoned(mass="inertia-matched"),
+}
 
 
 def one_block(body="rigid", gravity=(0, 0, 0), shape=None, **given):
     scene = fdem.Scene(gravity=gravity)
     if shape is None:
-        shape = fdem.brick((0, 0, 0), SIZE) if body == "rigid" else box((1, 2, 3), SIZE)
+        shape = fdem.brick((0, 0, 0), SIZE) if body != "zoned" else box((1, 2, 3), SIZE)
     return scene, scene.add(shape, BODIES[body], ROCK, name="block", **given)
 
 
@@ -31,8 +36,8 @@ def make(scene, integrator=None, **options):
 def resultant(sim, block, body):
     """Force and moment (about the centroid) on the block from its generalised force."""
     force = sim[block].generalised_force
-    if body == "rigid":
-        return force[:3], force[3:]
+    if body != "zoned":
+        return force[:3], force[3:6]
     each = force.reshape(-1, 3)
     arm = sim[block].gridpoints - SIZE / 2
     return each.sum(axis=0), np.cross(arm, each).sum(axis=0)

@@ -7,7 +7,7 @@ slides is then solved with Coulomb's law itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fdem.kernels import cones, nonsmooth
 
-__all__ = ["Problem", "Solver"]
+__all__ = ["Problem", "Rows", "Solver"]
 
 Array = NDArray[np.float64]
 
@@ -32,21 +32,43 @@ SWEEPS = 100  # of Gauss-Seidel when it helps
 
 
 @dataclass
+class Rows:
+    """Relative velocities of points over the unknowns (kernels/cones.py).
+
+    Attributes
+    ----------
+    start, dof, J : (n + 1,), (entries,), (entries, 3) arrays
+    """
+
+    start: Any
+    dof: Any
+    J: Array
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter((self.start, self.dof, self.J))
+
+    def times(self, v: Array, bias: Array | None = None) -> Array:
+        """``J v`` (n, 3) [m/s], `bias` (n,) added to its normal part."""
+        n = len(self.start) - 1
+        u = np.empty((n, 3))
+        cones.velocities(*self, v, np.zeros(n) if bias is None else bias, u)
+        return u
+
+
+@dataclass
 class Problem:
     """One contact problem: ``A (v - free) = J^T r`` and the law at every point.
 
     Attributes
     ----------
-    start, dof, J : arrays
-        Rows of relative velocities (kernels/cones.py).
-    Jf : (entries, 3) array
-        The rows on what is free to move.
+    rows, free_rows : Rows
+        Relative velocities over all unknowns, and over the motions that nothing prescribes.
     A : (n_dofs, n_dofs) scipy CSC matrix
         Masses, and stiffness over the step.
     inverse : callable
         ``f -> A^-1 f``, zero where velocities are given.
-    rows : callable
-        Entries of ``A^-1 Jf^T`` by points, for Gauss-Seidel.
+    answers : callable
+        ``A^-1 J^T`` as rows, for Gauss-Seidel.
     free : (n_dofs,) array
         Velocities without impulses [m/s].
     bias : (n,) array
@@ -55,13 +77,11 @@ class Problem:
         [-], [N s], [N s].
     """
 
-    start: Any
-    dof: Any
-    J: Array
-    Jf: Array
+    rows: Rows
+    free_rows: Rows
     A: Any
     inverse: Callable[[Array], Array]
-    rows: Callable[[], tuple[Any, Any, Array]]
+    answers: Callable[[], Rows]
     free: Array
     bias: Array
     friction: Array
@@ -71,9 +91,9 @@ class Problem:
 
     def __post_init__(self) -> None:
         self.rho = np.zeros(len(self.bias))
-        cones.effective_masses(self.start, self.dof, self.Jf, self.A.diagonal(), self.rho)
+        cones.effective_masses(*self.free_rows, self.A.diagonal(), self.rho)
         # a point between bodies whose motion is given has no say
-        self.rho[self.rho == 0.0] = self.rho.max(initial=1.0)
+        self.rho[self.rho == 0.0] = self.rho.max(initial=0.0) or 1.0
 
     def velocity(self, r: Array) -> Array:
         """Velocities (n_dofs,) under the impulses `r` (n, 3)."""
@@ -82,14 +102,12 @@ class Problem:
     def push(self, r: Array) -> Array:
         """``J^T r`` (n_dofs,) on what is free."""
         f = np.zeros(len(self.free))
-        cones.add_impulses(self.start, self.dof, self.Jf, r, f)
+        cones.add_impulses(*self.free_rows, r, f)
         return f
 
     def relative(self, v: Array) -> Array:
         """Relative velocities (n, 3), bias included."""
-        u = np.empty((len(self.bias), 3))
-        cones.velocities(self.start, self.dof, self.J, v, self.bias, u)
-        return u
+        return self.rows.times(v, self.bias)
 
     def residual(self, r: Array, v: Array) -> tuple[float, int]:
         """Largest ``|r - P(r - rho u)|`` over the mean pressing impulse, and its point."""
@@ -217,7 +235,7 @@ class Solver:
         indptr, indices, at = self._places()
         data = np.zeros(len(indices))
         data[at] = p.A.data
-        cones.add_matrices(p.start, p.dof, p.Jf, slope, rho, indptr, indices, data)
+        cones.add_matrices(*p.free_rows, slope, rho, indptr, indices, data)
         matrix = csc_matrix((data, indices, indptr), shape=p.A.shape)
         return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True})
 
@@ -226,10 +244,11 @@ class Solver:
         from scipy.sparse import csr_matrix
 
         p, kept = self.p, self._pattern
-        key = p.start, p.dof, p.A.indptr, p.A.indices
+        start, dof, _ = p.free_rows
+        key = start, dof, p.A.indptr, p.A.indices
         if kept is not None and all(np.array_equal(a, b) for a, b in zip(kept[0], key, strict=True)):
-            return kept[1]  # type: ignore[no-any-return]
-        touch = csr_matrix((np.ones(len(p.dof), bool), p.dof, p.start), shape=(len(p.bias), len(p.free)))
+            return kept[1]
+        touch = csr_matrix((np.ones(len(dof), bool), dof, start), shape=(len(p.bias), len(p.free)))
         own = csr_matrix((np.ones(p.A.nnz, bool), p.A.indices, p.A.indptr), shape=p.A.shape)
         pattern = (touch.T @ touch + own + own.T).tocsc()
         pattern.sort_indices()
@@ -245,8 +264,11 @@ class Solver:
         """Sweeps of Gauss-Seidel from the impulses `r`."""
         p, r = self.p, r.copy()
         v = p.velocity(r)
+        answers = p.answers()
+        W = np.zeros((len(r), 3, 3))
+        cones.own_mobility(*p.rows, *answers, len(p.free), W)
         sweeps, _ = nonsmooth.gauss_seidel(
-            p.start, p.dof, p.J, *p.rows(), p.bias, p.friction, p.tension, p.cohesion, v, r, self.tolerance, most
+            *p.rows, *answers, W, p.bias, p.friction, p.tension, p.cohesion, v, r, self.tolerance, most
         )
         self.sweeps += int(sweeps)
         return r, p.velocity(r)

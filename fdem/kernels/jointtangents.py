@@ -4,7 +4,8 @@ One kernel per law, named after it, with the arguments of the law's sweep (kerne
 
     law(lo, hi, dt, gap, slip, normal, align, area, mass, prop, props, memory_old, memory, traction, state, response)
 
-`response` (n, 4, 4) [Pa/m] gets the derivatives of (pressure, shear traction) in its rows by (depth, slip) in its columns.
+`response` (n, 4, 4) [Pa/m] gets the derivatives of (pressure, shear traction), rows, by (depth, slip),
+columns.
 """
 
 from __future__ import annotations
