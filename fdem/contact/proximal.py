@@ -28,6 +28,7 @@ ACCURACY = 0.1  # of the residual: to this a proximal step is solved
 SHORTENINGS = 5  # of a Newton step
 SLOW = 0.8  # a convex step that leaves more of the residual makes way for Coulomb's law
 PATIENCE = 4  # proximal steps that fail before Gauss-Seidel is asked to help
+MARGIN = 0.001  # of the tolerance is what iterations aim at, so that blocks at rest need none in the steps that follow
 SWEEPS = 100  # of Gauss-Seidel when it helps
 
 
@@ -109,12 +110,52 @@ class Problem:
         """Relative velocities (n, 3), bias included."""
         return self.rows.times(v, self.bias)
 
+    def shift(self, v: Array) -> Array:
+        """``mu |u_t|`` (n,) [m/s]: what makes the associated cone Coulomb's law."""
+        u = self.relative(v)
+        return self.friction * np.hypot(u[:, 1], u[:, 2])
+
     def residual(self, r: Array, v: Array) -> tuple[float, int]:
         """Largest ``|r - P(r - rho u)|`` over the mean pressing impulse, and its point."""
         worst, where, mean = cones.natural_residual(
             self.relative(v), self.friction, self.tension, self.cohesion, self.rho, r
         )
         return (worst / mean if mean > 0.0 else float(worst > 0.0)), int(where)
+
+
+class _Law:
+    """One proximal problem: the law around the impulses `r0`, with or without the shift of the convex form."""
+
+    def __init__(self, p: Problem, r0: Array, rho: Array, shift: Array | None) -> None:
+        self.p, self.r0, self.rho, self.shift = p, r0, rho, shift
+        self.r, self.slope = np.empty_like(r0), np.empty((len(r0), 3, 3))
+        self._diagonal = p.A.diagonal()
+
+    def balance(self, x: Array) -> Array:
+        """``A (x - free) - J^T r`` (n_dofs,) with the impulses that the law gives for velocities `x`."""
+        p, u = self.p, self.p.relative(x)
+        if self.shift is not None:
+            u[:, 0] += self.shift
+        z = self.r0 - self.rho[:, None] * u
+        if self.shift is not None:
+            cones.project_cone(z, p.friction, self.r, self.slope)
+        else:
+            cones.project(z, p.friction, p.tension, p.cohesion, self.r, self.slope)
+        F: Array = p.A @ (x - p.free) - p.push(self.r)
+        return F
+
+    def merit(self, x: Array, F: Array) -> float:
+        """Of the convex problem its energy, else the size of what is out of balance."""
+        if self.shift is None:
+            return float(F @ (F / self._diagonal))
+        d = x - self.p.free
+        return 0.5 * float(d @ (self.p.A @ d)) + 0.5 * float((np.einsum("ni,ni->n", self.r, self.r) / self.rho).sum())
+
+
+def _pressing(r: Array) -> float:
+    """Mean of the pressing impulses; 0: none presses."""
+    pressing = r[:, 0][r[:, 0] > 0.0]
+    return float(pressing.mean()) if len(pressing) else 0.0
 
 
 class Solver:
@@ -149,23 +190,24 @@ class Solver:
         self.history.append(residual)
         convex = not (p.cohesion.any() or p.tension.any())
         stiff, failed = float(np.clip(1.0 / max(residual, 1e-300), SOFT, 1e3)), 0
-        while residual > self.tolerance and self.iterations < self.most:
+        goal = self.tolerance if residual <= self.tolerance else MARGIN * self.tolerance
+        while residual > goal and self.iterations < self.most:
             trial, easy = self._proximal(r, v, stiff, residual, convex)
-            after, worst = np.inf, self.worst
+            after, gain = np.inf, np.inf
             if trial is not None:
                 v_trial = p.velocity(trial)
                 after, worst = p.residual(trial, v_trial)
-            if trial is not None and (easy is not None or after < residual):
-                r, v, gain, residual, self.worst = trial, v_trial, after / residual, after, worst
-                failed = 0 if easy is not None else failed + 1
-                if easy:
-                    stiff = min(GROWTH * stiff, STIFF)
-                if convex and gain > SLOW:
+            if trial is not None and after < np.inf and (easy is not None or after < residual):
+                if convex and self._lags(v, v_trial, trial) > SLOW * after:
                     convex, stiff = False, min(stiff, 100.0)
-            else:
-                failed += 1
+                r, v, gain, residual, self.worst = trial, v_trial, after / residual, after, worst
+            if residual <= self.tolerance and gain > SLOW:
+                break
+            failed = failed + 1 if easy is None else 0
             if easy is None:
                 convex, stiff = False, max(SHRINK * stiff, 1.0)
+            elif easy:
+                stiff = min(GROWTH * stiff, STIFF)
             self.history.append(residual)
             if failed >= PATIENCE:
                 r, v = self._sweep(r, SWEEPS)
@@ -174,52 +216,35 @@ class Solver:
                 failed, stiff = 0, SOFT
         return r, v, residual
 
+    def _lags(self, before: Array, after: Array, r: Array) -> float:
+        """By how much the shift of the convex problem was wrong, as part of the mean impulse."""
+        p = self.p
+        wrong = p.rho * np.abs(p.shift(after) - p.shift(before))
+        return float(wrong.max(initial=0.0)) / (_pressing(r) or np.inf)
+
     def _proximal(
         self, r: Array, v: Array, stiff: float, residual: float, convex: bool
     ) -> tuple[Array | None, bool | None]:
         """Solve ``A (x - free) = J^T P(r - rho u(x))``; impulses, and whether that was easy (None: it failed)."""
-        p, rho = self.p, stiff * self.p.rho
-        u = p.relative(v)
-        shift = p.friction * np.hypot(u[:, 1], u[:, 2]) if convex else np.zeros(len(rho))
-        new, slope = np.empty_like(r), np.empty((len(r), 3, 3))
-        diagonal = p.A.diagonal()
-
-        def balance(x: Array) -> Array:
-            u = p.relative(x)
-            u[:, 0] += shift
-            z = r - rho[:, None] * u
-            if convex:
-                cones.project_cone(z, p.friction, new, slope)
-            else:
-                cones.project(z, p.friction, p.tension, p.cohesion, new, slope)
-            return p.A @ (x - p.free) - p.push(new)
-
-        def merit(x: Array, F: Array) -> float:
-            # of the convex problem its energy, else the size of what is out of balance
-            if not convex:
-                return float(F @ (F / diagonal))
-            d = x - p.free
-            return 0.5 * float(d @ (p.A @ d)) + 0.5 * float((np.einsum("ni,ni->n", new, new) / rho).sum())
-
-        x = v.copy()
-        F = balance(x)
-        value = merit(x, F)
+        p = self.p
+        law = _Law(p, r, stiff * p.rho, p.shift(v) if convex else None)
+        x, F = v.copy(), law.balance(v)
+        value = law.merit(x, F)
         for iteration in range(INNER + 1):
-            pressing = new[:, 0][new[:, 0] > 0.0]
-            scale = float(pressing.mean()) if len(pressing) else 1.0
-            error = float(np.abs(F).max(initial=0.0)) / scale
+            error = float(np.abs(F).max(initial=0.0)) / (_pressing(law.r) or 1.0)
             if not np.isfinite(error):
                 return None, None
-            if error <= max(ACCURACY * min(residual, 1.0), 0.01 * self.tolerance):
-                return new, iteration <= EASY
+            if error <= max(ACCURACY * min(residual, 1.0), 0.1 * MARGIN * self.tolerance):
+                return law.r, iteration <= EASY
             if iteration == INNER:
-                return new, None
-            change = self._factor(slope, rho).solve(-F)
+                return law.r, None
+            factors = self._factor(law.slope, law.rho)
             self.iterations += 1
+            change = factors.solve(-F)
             fall, share = float(F @ change) if convex else -2.0 * value, 1.0
             for _ in range(SHORTENINGS):
-                F = balance(x + share * change)
-                after = merit(x + share * change, F)
+                F = law.balance(x + share * change)
+                after = law.merit(x + share * change, F)
                 if after <= value + 0.1 * share * fall or -fall <= 1e-12 * abs(value):
                     break
                 share *= 0.5

@@ -17,6 +17,8 @@ __all__ = ["ContactDynamics"]
 
 Array = Any
 
+CLOSED = 1e-8  # of a block's size: gaps that count as closed, lest round-off of positions moves what is at rest
+
 
 @dataclass
 class ContactDynamics:
@@ -101,8 +103,10 @@ class ContactDynamics:
             state.v[:], impulses, problem = free, np.zeros((0, 3)), None
         else:
             self.penetration = -float(points.gap.min(initial=0.0))
+            near = points.gap <= CLOSED * hard.pair_sizes()[points.pair]
+            points.gap[near] = np.minimum(points.gap[near], 0.0)
             # what bounces does so when it has closed, not before
-            points = points.take((points.restitution == 0.0) | (points.gap <= 0.0))
+            points = points.take((points.restitution == 0.0) | near)
             impulses, problem = self._contacts(points, mobility, free, h)
         self._points, self._impulses = points, impulses
         hard.keep(points, impulses, before, problem, h)
