@@ -98,15 +98,15 @@ class ContactDynamics:
         free = state.v + mobility.solve(h * f - h * h * (2.0 * theta - 1.0) * mobility.stiffness_times(state.v))
         hard.prescribe_velocity(free, h)
         points = hard.points()
-        if points is None or not len(points):
+        if points is None:
             self.iterations, self.sweeps, self.residual, self.penetration = 0, 0, 0.0, 0.0
             state.v[:], impulses, problem = free, np.zeros((0, 3)), None
         else:
             self.penetration = -float(points.gap.min(initial=0.0))
-            near = points.gap <= CLOSED * hard.pair_sizes()[points.pair]
+            near = points.gap <= CLOSED * points.size
             points.gap[near] = np.minimum(points.gap[near], 0.0)
             # what bounces does so when it has closed, not before
-            points = points.take((points.restitution == 0.0) | near)
+            points = points.take((points.law[:, 3] == 0.0) | near)
             impulses, problem = self._contacts(points, mobility, free, h)
         self._points, self._impulses = points, impulses
         hard.keep(points, impulses, before, problem, h)
@@ -118,16 +118,17 @@ class ContactDynamics:
         hard, system = self._hard, self._hard.system
         problem = hard.problem(points, self.assembler, mobility, free, h)
         problem.bias[:] = np.maximum(points.gap, 0.0) / (self.theta * h)
-        bounce = points.restitution > 0.0
+        restitution = points.law[:, 3]
+        bounce = restitution > 0.0
         incoming = problem.rows.times(system.state.v)[bounce, 0]
-        problem.bias[bounce] = points.restitution[bounce] * np.minimum(incoming, 0.0)
+        problem.bias[bounce] = restitution[bounce] * np.minimum(incoming, 0.0)
         impulses, v, self.residual = self.solver.solve(problem, self._warm(points))
         self.iterations, self.sweeps = self.solver.iterations, self.solver.sweeps
         if not self.residual <= self.tolerance:
             raise ConvergenceError(
                 f"step {system.state.step}: impulses are wrong by {self.residual:.2e} of the mean after "
                 f"{self.iterations} iterations and {self.sweeps} sweeps, worst between "
-                f"{system.contacts.pair_names(int(points.pair[self.solver.worst]))}; residuals: "
+                f"{hard.names(points, self.solver.worst)}; residuals: "
                 f"{', '.join(f'{e:.1e}' for e in self.solver.history[-8:])}; a shorter step or a larger tolerance helps"
             )
         system.state.v[:] = v
@@ -137,7 +138,7 @@ class ContactDynamics:
         """Impulses to start from: those of the last step at the same places."""
         impulses = np.zeros((len(points), 3))
         if self._points is not None and len(self._points) and len(self._impulses):
-            at = points.matched(self._points, self._hard.pair_sizes())
+            at = points.matched(self._points)
             known = at >= 0
             world = np.einsum("nij,ni->nj", self._points.frame[at[known]], self._impulses[at[known]])
             impulses[known] = np.einsum("nij,nj->ni", points.frame[known], world)

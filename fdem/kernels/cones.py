@@ -17,22 +17,40 @@ from fdem._jit import kernel
 
 
 @kernel
-def point_rows(gp, w, frame, pstart, pdof, pvalue, mobile, most, start, dof, J):
+def _add_entry(j, a0, a1, a2, first, at, most, dof, J):
+    """Add to the entry of unknown j among those from `first` on, or make it; returns the number of entries."""
+    place = first
+    while place < min(at, most) and dof[place] != j:
+        place += 1
+    if place >= most:
+        return at + 1
+    if place == at:
+        dof[place], at = j, at + 1
+        J[place, 0], J[place, 1], J[place, 2] = 0.0, 0.0, 0.0
+    J[place, 0] += a0
+    J[place, 1] += a1
+    J[place, 2] += a2
+    return at
+
+
+@kernel
+def point_rows(gp, w, frame, spin, arm, pstart, pdof, pvalue, mobile, most, start, dof, J):
     """Rows of the relative velocity of contact points over the unknowns.
 
     | argument | shape | unit | |
     |---|---|---|---|
     | gp, w | (n, k) | - | gridpoints and weights: + slave, - master |
     | frame | (n, 3, 3) | - | rows: normal, two tangents |
+    | spin, arm | (n, 2), (n, 2, 3) | -, m | first rotational velocity (-1: none), way from gridpoint to contact |
     | pstart, pdof, pvalue | CSR | -, -, -, m | ``P`` (3 n_gp, n_dofs) of ``xdot = P v`` |
-    | mobile | (n_gp,) | - | gridpoints whose velocity is unknown or given by the motion of a block |
+    | mobile | (n_gp,) | - | gridpoints of blocks that can move |
     | most | int | - | room in the arrays to fill: entries |
     | start, dof, J | (n + 1,), (most,), (most, 3) | -, -, m | out |
 
     Returns
     -------
     int
-        Entries found; more than `most`: nothing after those is filled, call again with more room.
+        Room needed; more than `most`: the rows are not complete, call again with more.
     """
     at = 0
     for i in range(len(gp)):
@@ -42,20 +60,23 @@ def point_rows(gp, w, frame, pstart, pdof, pvalue, mobile, most, start, dof, J):
             if w[i, k] == 0.0 or not mobile[g]:
                 continue
             for d in range(3):
+                f0, f1, f2 = frame[i, 0, d], frame[i, 1, d], frame[i, 2, d]
                 for entry in range(pstart[3 * g + d], pstart[3 * g + d + 1]):
-                    j = pdof[entry]
-                    value = w[i, k] * pvalue[entry]
-                    place = start[i]
-                    while place < min(at, most) and dof[place] != j:
-                        place += 1
-                    if place == at:
-                        at += 1
-                        if place < most:
-                            dof[place] = j
-                            J[place, 0], J[place, 1], J[place, 2] = 0.0, 0.0, 0.0
-                    if place < most:
-                        for a in range(3):
-                            J[place, a] += frame[i, a, d] * value
+                    c = w[i, k] * pvalue[entry]
+                    at = _add_entry(pdof[entry], c * f0, c * f1, c * f2, start[i], at, most, dof, J)
+        for side in range(2):
+            if spin[i, side] < 0:
+                continue
+            sign = 1.0 if side == 0 else -1.0
+            for d in range(3):
+                # of omega x arm along a row of the frame: omega . (arm x row)
+                e, f = (d + 1) % 3, (d + 2) % 3
+                ye, yf = sign * arm[i, side, e], sign * arm[i, side, f]
+                at = _add_entry(
+                    spin[i, side] + d, ye * frame[i, 0, f] - yf * frame[i, 0, e],
+                    ye * frame[i, 1, f] - yf * frame[i, 1, e], ye * frame[i, 2, f] - yf * frame[i, 2, e],
+                    start[i], at, most, dof, J,
+                )  # fmt: skip
     start[len(gp)] = at
     return at
 
