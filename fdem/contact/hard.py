@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 MERGE = 1e-3  # of the smaller block's size: points of a pair closer than that are one
 NEAR = 0.05  # of that size: how far a point may move and take its impulse along
+SAME_NORMAL = 1e-4  # loss of length of the mean of unit normals up to which they count as one
 UNALIGNED = 0.99  # -n_a.n_f below which patches of a pair share one normal (CONTACT.md 3.6)
 
 
@@ -136,12 +137,14 @@ def contact_points(c: Contacts, x: Array) -> Points:
     w0 = np.column_stack([1.0 - weight.sum(axis=1), weight])
     position = np.einsum("ij,ijk->ik", w0, x[p.gp[patch, :3]])
     size = np.minimum(s.size[c.slave], s.size[c.master])[p.pair]
+    normal, align, area = _normals(c, x)
     cell = np.rint((position - x.mean(axis=0)) / (MERGE * size[patch])[:, None]).astype(np.int64)
-    order = np.lexsort((gap, cell[:, 2], cell[:, 1], cell[:, 0], p.pair[patch]))
+    # of points at one place, that of the best aligned faces knows the normal
+    askew = np.rint((1.0 - align[patch]) / MERGE)
+    order = np.lexsort((gap, askew, cell[:, 2], cell[:, 1], cell[:, 0], p.pair[patch]))
     same = (p.pair[patch[order]][1:] == p.pair[patch[order]][:-1]) & (cell[order][1:] == cell[order][:-1]).all(axis=1)
     first = order[np.concatenate([[True], ~same])] if n else order
     patch, weight, gap, position = patch[first], weight[first], gap[first], position[first]
-    normal, area = _normals(c, x)
     count = np.bincount(patch, minlength=len(p))
     points = np.repeat(weight[:, None], 3, axis=1)
     w = np.zeros((3 * len(patch), 7))
@@ -224,20 +227,36 @@ def _hard(c: Contacts, k: int) -> Array:
     return law.hard
 
 
-def _normals(c: Contacts, x: Array) -> tuple[Array, Array]:
-    """Contact normal of every patch (from master to slave), and its whole area."""
+def _normals(c: Contacts, x: Array) -> tuple[Array, Array, Array]:
+    """Contact normal of every patch (from master to slave), how well its faces are aligned, and its whole area.
+
+    Aligned faces: that of the master. An edge or vertex of the slave in a face of the master: that of the master; a
+    face of the slave on an edge or vertex of the master: that of the slave; two edges: the mean over the patches.
+    """
     p = c.patches
     cross = [np.cross(x[p.gp[:, o + 1]] - x[p.gp[:, o]], x[p.gp[:, o + 2]] - x[p.gp[:, o]]) for o in (0, 3)]
     double = np.linalg.norm(cross[0], axis=1)
     slave, master = (v / np.linalg.norm(v, axis=1)[:, None] for v in cross)
     align = -np.einsum("ij,ij->i", slave, master)
     area = 0.5 * double * p.ref_ratio
-    normal = master.copy()
-    loose = np.flatnonzero((align <= UNALIGNED) & ((p.flags & kernels.FACING) > 0))
-    if len(loose):
+    normal, facing = master.copy(), (p.flags & kernels.FACING) > 0
+    loose = facing & (align <= UNALIGNED)
+    if loose.any():
+        pair = p.pair.astype(np.int64)
+        bent_master = _bent(pair * 2**32 + p.face_s, master, facing)[loose]
+        bent_slave = _bent(pair * 2**32 + p.face_m, slave, facing)[loose]
         total = np.zeros((len(c.pairs), 3))
         np.add.at(total, p.pair[loose], -slave[loose] * area[loose, None])
-        length = np.linalg.norm(total, axis=1)[p.pair[loose]]
-        good = length > 0.0
-        normal[loose[good]] = total[p.pair[loose[good]]] / length[good, None]
-    return normal, area
+        mean = total[p.pair[loose]]
+        mean /= np.maximum(np.linalg.norm(mean, axis=1), 1e-300)[:, None]
+        both = (bent_master & bent_slave)[:, None]
+        normal[loose] = np.where(both, mean, np.where(bent_master[:, None], -slave[loose], master[loose]))
+    return normal, align, area
+
+
+def _bent(key: Any, normal: Array, among: Any) -> Any:
+    """Whether patches (n,) share their key with others, `among` those of a mask, whose normal is another."""
+    _, group = np.unique(key, return_inverse=True)
+    count = np.maximum(np.bincount(group, among), 1.0)
+    mean = np.column_stack([np.bincount(group, normal[:, k] * among) for k in range(3)]) / count[:, None]
+    return (np.linalg.norm(mean, axis=1) < 1.0 - SAME_NORMAL)[group]
