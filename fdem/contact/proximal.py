@@ -20,10 +20,10 @@ __all__ = ["Problem", "Rows", "Solver"]
 
 Array = NDArray[np.float64]
 
-SOFT, STIFF = 10.0, 1e5  # least and largest factor rho over the mass that a point seems to have
+SOFT, STIFF = 10.0, 1e9  # least and largest factor rho over the mass that a point seems to have
 GROWTH, SHRINK = 2.0, 0.3  # of rho after a proximal step that was easy, or failed
 EASY = 5  # Newton iterations of an easy proximal step
-INNER = 12  # most iterations of a proximal step
+INNER = 8  # most iterations of a proximal step
 ACCURACY = 0.1  # of the residual: to this a proximal step is solved
 SHORTENINGS = 5  # of a Newton step
 SLOW = 0.8  # a convex step that leaves more of the residual makes way for Coulomb's law
@@ -89,12 +89,14 @@ class Problem:
     cohesion: Array
     tension: Array
     rho: Array = field(init=False)
+    speed: float = field(init=False)
 
     def __post_init__(self) -> None:
         self.rho = np.zeros(len(self.bias))
         cones.effective_masses(*self.free_rows, self.A.diagonal(), self.rho)
         # a point between bodies whose motion is given has no say
         self.rho[self.rho == 0.0] = self.rho.max(initial=0.0) or 1.0
+        self.speed = 0.0  # set by the solver, when bias and friction are
 
     def velocity(self, r: Array) -> Array:
         """Velocities (n_dofs,) under the impulses `r` (n, 3)."""
@@ -116,11 +118,13 @@ class Problem:
         return self.friction * np.hypot(u[:, 1], u[:, 2])
 
     def residual(self, r: Array, v: Array) -> tuple[float, int]:
-        """Largest ``|r - P(r - rho u)|`` over the mean pressing impulse, and its point."""
-        worst, where, mean = cones.natural_residual(
+        """Largest error of an impulse over the mean, or of a velocity over the largest without impulses; and where."""
+        worst, speed, where, mean = cones.natural_residual(
             self.relative(v), self.friction, self.tension, self.cohesion, self.rho, r
         )
-        return (worst / mean if mean > 0.0 else float(worst > 0.0)), int(where)
+        if not speed > 0.0:
+            return float(speed), 0  # not a number stays that
+        return max(worst / mean if mean > 0.0 else 1.0, speed / self.speed), int(where)
 
 
 class _Law:
@@ -185,6 +189,8 @@ class Solver:
     def solve(self, p: Problem, r: Array) -> tuple[Array, Array, float]:
         """Impulses (n, 3), velocities (n_dofs,) and residual, from impulses `r` to start with."""
         self.p, self.iterations, self.sweeps, self.history = p, 0, 0, []
+        given = np.linalg.norm(p.rows.times(p.free), axis=1).max(initial=0.0)
+        p.speed = max(float(given), -float(p.bias.min(initial=0.0))) or 1.0  # else there is nothing to do
         v = p.velocity(r)
         residual, self.worst = p.residual(r, v)
         self.history.append(residual)

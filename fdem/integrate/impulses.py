@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from fdem.integrate.mobility import Mobility
 __all__ = ["Impulses"]
 
 Array = Any
+
+OUT = 1e-2  # of a block's size that it is pushed out by in a step at most
+ROUGH, MOST = 1e-3, 60  # accuracy and iterations: what is left is pushed out in the next steps
 
 
 class Impulses:
@@ -102,6 +106,30 @@ class Impulses:
             np.zeros(len(points)), friction, cohesion * share, tension * share,
         )  # fmt: skip
 
+    def push_out(self, problem: Any, gap: Array, size: Array) -> None:
+        """Move blocks apart where gaps (n,) [m] are negative, by least displacements, `OUT` of the sizes (n,) at most.
+
+        What it does against the other forces comes off the dissipation: blocks went too deep before.
+        """
+        system, none = self.system, np.zeros(len(gap))
+        apart = replace(
+            problem, free=np.zeros_like(problem.free), bias=np.maximum(gap, -OUT * size), friction=none, cohesion=none,
+            tension=none,
+        )  # fmt: skip
+        _, d, _ = hard.Solver(ROUGH, MOST).solve(apart, np.zeros((len(gap), 3)))
+        forces = system.forces().copy()
+        for batch in self.model.batches:
+            batch.shift(self.state.q, d)
+            batch.place(self.state.q, self.state.x)
+        system.current = False
+        self._lost()[1] += float(forces @ d)
+
+    def _lost(self) -> Array:
+        """Work of friction and of normal impulses [J], where the tables look for it."""
+        system = self.system
+        work: Array = (system.particles if system.contacts is None else system.contacts).work
+        return work
+
     def keep(self, points: Any, impulses: Array, before: Array, problem: Any, h: float) -> None:
         """Keep the mean forces of the step for the tables, and count what contact dissipated."""
         system = self.system
@@ -119,7 +147,7 @@ class Impulses:
             np.add.at(system.mean_moment, points.spin[turns, side][:, None] + np.arange(3), moment)
         after = problem.rows.times(self.state.v)
         mean = 0.5 * (problem.rows.times(before) + after)
-        lost = (system.particles if system.contacts is None else system.contacts).work
+        lost = self._lost()
         lost[0] -= float((impulses[:, 1:] * mean[:, 1:]).sum())
         lost[1] -= float((impulses[:, 0] * mean[:, 0]).sum())
         system.hard_table = hard.table(points, impulses / h, np.hypot(after[:, 1], after[:, 2]))

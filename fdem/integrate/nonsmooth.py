@@ -17,6 +17,7 @@ __all__ = ["ContactDynamics"]
 
 Array = Any
 
+DEEP = 1e-7  # of a block's size: penetration that is pushed out again
 CLOSED = 1e-8  # of a block's size: gaps that count as closed, lest round-off of positions moves what is at rest
 
 
@@ -45,7 +46,8 @@ class ContactDynamics:
     ``q_m = q0 + h (1 - theta) v0``; ``M (v1 - v0) = h f(q_m) + H^T r``; ``q1 = q_m + h theta v1``; the impulses r by
     Gauss-Seidel from those of the last step (Jean, Comput. Methods Appl. Mech. Engrg. 177 (1999) 235). A gap g is
     closed within the step, ``0 <= u_n + g / (theta h)``; with restitution e a closed contact obeys
-    ``0 <= u_n + e u_n0``. The friction cone is neither faceted nor made convex.
+    ``0 <= u_n + e u_n0``. The friction cone is neither faceted nor made convex. What penetrates all the same, by the
+    curvature of paths or in the step of an impact, is pushed out by a displacement that no velocity comes from.
     """
 
     dt: float
@@ -105,34 +107,47 @@ class ContactDynamics:
             self.penetration = -float(points.gap.min(initial=0.0))
             near = points.gap <= CLOSED * points.size
             points.gap[near] = np.minimum(points.gap[near], 0.0)
-            # what bounces does so when it has closed, not before
-            points = points.take((points.law[:, 3] == 0.0) | near)
-            impulses, problem = self._contacts(points, mobility, free, h)
+            points, problem = self._problem(points, mobility, free, h)
+            impulses = self._solve(points, problem)
+            # what bounces moves apart by itself
+            deep = np.where(problem.bias < 0.0, 0.0, points.gap)
+            if (deep < -DEEP * points.size).any():
+                hard.push_out(problem, deep, points.size)
         self._points, self._impulses = points, impulses
         hard.keep(points, impulses, before, problem, h)
         hard.drift(theta * h)
         state.step += 1
 
-    def _contacts(self, points: Any, mobility: Any, free: Array, h: float) -> tuple[Array, Any]:
-        """Impulses (n, 3) of the contact points; velocities are changed by them."""
-        hard, system = self._hard, self._hard.system
+    def _problem(self, points: Any, mobility: Any, free: Array, h: float) -> tuple[Any, Any]:
+        """The contact problem, and its points: what bounces does so when it has closed, not before.
+
+        What comes no faster than forces made it in two steps does not bounce: else nothing comes to rest.
+        """
+        hard, v = self._hard, self._hard.system.state.v
         problem = hard.problem(points, self.assembler, mobility, free, h)
+        incoming, gained = problem.rows.times(v)[:, 0], problem.rows.times(free - v)[:, 0]
+        bounce = (points.law[:, 3] > 0.0) & (incoming < -2.0 * np.abs(gained))
+        early = bounce & (points.gap > 0.0)
+        if early.any():
+            return self._problem(points.take(~early), mobility, free, h)
         problem.bias[:] = np.maximum(points.gap, 0.0) / (self.theta * h)
-        restitution = points.law[:, 3]
-        bounce = restitution > 0.0
-        incoming = problem.rows.times(system.state.v)[bounce, 0]
-        problem.bias[bounce] = restitution[bounce] * np.minimum(incoming, 0.0)
+        problem.bias[bounce] = points.law[bounce, 3] * incoming[bounce]
+        return points, problem
+
+    def _solve(self, points: Any, problem: Any) -> Array:
+        """Impulses (n, 3) of the contact points; velocities are changed by them."""
+        system = self._hard.system
         impulses, v, self.residual = self.solver.solve(problem, self._warm(points))
         self.iterations, self.sweeps = self.solver.iterations, self.solver.sweeps
         if not self.residual <= self.tolerance:
             raise ConvergenceError(
                 f"step {system.state.step}: impulses are wrong by {self.residual:.2e} of the mean after "
                 f"{self.iterations} iterations and {self.sweeps} sweeps, worst between "
-                f"{hard.names(points, self.solver.worst)}; residuals: "
+                f"{self._hard.names(points, self.solver.worst)}; residuals: "
                 f"{', '.join(f'{e:.1e}' for e in self.solver.history[-8:])}; a shorter step or a larger tolerance helps"
             )
         system.state.v[:] = v
-        return impulses, problem
+        return impulses
 
     def _warm(self, points: Any) -> Array:
         """Impulses to start from: those of the last step at the same places."""
