@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ class Impulses:
     def __init__(self, system: Any) -> None:
         self.system, self.model, self.state = system, system.model, system.state
         system.harden()
-        system.hard_table = hard.table(hard.NONE, np.zeros((0, 3)), np.zeros(0))
+        system.hard_table = partial(hard.table, hard.NONE, np.zeros((0, 3)), np.zeros(0))
 
     def commit_loads(self) -> None:
         """Work of loads up to here, positions as those of the last commit."""
@@ -134,7 +135,7 @@ class Impulses:
         """Keep the mean forces of the step for the tables, and count what contact dissipated."""
         system = self.system
         system.mean_contact[:], system.mean_moment[:] = 0.0, 0.0
-        system.hard_table = hard.table(hard.NONE, np.zeros((0, 3)), np.zeros(0))
+        system.hard_table = partial(hard.table, hard.NONE, np.zeros((0, 3)), np.zeros(0))
         if problem is None:
             return
         world = np.einsum("nij,ni->nj", points.frame, impulses) / h
@@ -143,6 +144,8 @@ class Impulses:
             system.mean_contact[:, axis] = np.bincount(at, shares[:, :, axis].ravel(), len(system.mean_contact))
         for side, sign in ((0, 1.0), (1, -1.0)):
             turns = np.flatnonzero(points.spin[:, side] >= 0)
+            if not len(turns):
+                continue
             moment = sign * np.cross(points.arm[turns, side], world[turns])
             np.add.at(system.mean_moment, points.spin[turns, side][:, None] + np.arange(3), moment)
         after = problem.rows.times(self.state.v)
@@ -150,4 +153,4 @@ class Impulses:
         lost = self._lost()
         lost[0] -= float((impulses[:, 1:] * mean[:, 1:]).sum())
         lost[1] -= float((impulses[:, 0] * mean[:, 0]).sum())
-        system.hard_table = hard.table(points, impulses / h, np.hypot(after[:, 1], after[:, 2]))
+        system.hard_table = partial(hard.table, points, impulses / h, np.hypot(after[:, 1], after[:, 2]))
