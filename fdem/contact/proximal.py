@@ -20,7 +20,7 @@ __all__ = ["Problem", "Rows", "Solver"]
 
 Array = NDArray[np.float64]
 
-SOFT, STIFF = 10.0, 1e9  # least and largest factor rho over the mass that a point seems to have
+SOFTEST, SOFT, STIFF = 1e-2, 10.0, 1e9  # rho over the mass that a point seems to have: least, first, largest
 GROWTH, SHRINK = 2.0, 0.3  # of rho after a proximal step that was easy, or failed
 EASY = 5  # Newton iterations of an easy proximal step
 INNER = 8  # most iterations of a proximal step
@@ -66,6 +66,8 @@ class Problem:
         Relative velocities over all unknowns, and over the motions that nothing prescribes.
     A : (n_dofs, n_dofs) scipy CSC matrix
         Masses, and stiffness over the step.
+    mass : (n_dofs,) array
+        Diagonal of the masses alone: how heavy points seem.
     inverse : callable
         ``f -> A^-1 f``, zero where velocities are given.
     answers : callable
@@ -81,6 +83,7 @@ class Problem:
     rows: Rows
     free_rows: Rows
     A: Any
+    mass: Array
     inverse: Callable[[Array], Array]
     answers: Callable[[], Rows]
     free: Array
@@ -93,7 +96,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         self.rho = np.zeros(len(self.bias))
-        cones.effective_masses(*self.free_rows, self.A.diagonal(), self.rho)
+        cones.effective_masses(*self.free_rows, self.mass, self.rho)
         # a point between bodies whose motion is given has no say
         self.rho[self.rho == 0.0] = self.rho.max(initial=0.0) or 1.0
         self.speed = 0.0  # set by the solver, when bias and friction are
@@ -211,7 +214,7 @@ class Solver:
                 break
             failed = failed + 1 if easy is None else 0
             if easy is None:
-                convex, stiff = False, max(SHRINK * stiff, 1.0)
+                convex, stiff = False, max(SHRINK * stiff, SOFTEST)
             elif easy:
                 stiff = min(GROWTH * stiff, STIFF)
             self.history.append(residual)

@@ -103,7 +103,7 @@ class Impulses:
         friction, cohesion, tension, _ = points.law.T.copy()
         share = points.area * h
         return hard.Problem(
-            rows, free_rows, mobility.matrix, mobility.solve, lambda: mobility.answers(free_rows), free,
+            rows, free_rows, mobility.matrix, mobility.mass, mobility.solve, lambda: mobility.answers(free_rows), free,
             np.zeros(len(points)), friction, cohesion * share, tension * share,
         )  # fmt: skip
 
