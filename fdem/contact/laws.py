@@ -85,8 +85,9 @@ class LawTable:
         Length [m] over which closure changes the normal stiffness; infinite: it does not.
     corner : (n_props,) array, optional
         Least area of a contact [m2] (kernels/corners.py); 0: none.
-    hard : (n_props, 4) array, optional
-        Friction coefficient, cohesion [Pa], tension [Pa] and restitution of the hard counterpart; None: none.
+    hard : (n_props, 6) array, optional
+        Friction coefficient, cohesion [Pa], tension [Pa] and restitution of the hard counterpart, friction coefficient
+        and cohesion after its strength was exceeded; None: none.
 
     Attributes
     ----------

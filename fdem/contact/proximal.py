@@ -159,10 +159,10 @@ class _Law:
         return 0.5 * float(d @ (self.p.A @ d)) + 0.5 * float((np.einsum("ni,ni->n", self.r, self.r) / self.rho).sum())
 
 
-def _pressing(r: Array) -> float:
-    """Mean of the pressing impulses; 0: none presses."""
-    pressing = r[:, 0][r[:, 0] > 0.0]
-    return float(pressing.mean()) if len(pressing) else 0.0
+def _mean(r: Array) -> float:
+    """Mean normal impulse of the points that have one; 0: none has."""
+    size = np.abs(r[:, 0][r[:, 0] != 0.0])
+    return float(size.mean()) if len(size) else 0.0
 
 
 class Solver:
@@ -229,7 +229,7 @@ class Solver:
         """By how much the shift of the convex problem was wrong, as part of the mean impulse."""
         p = self.p
         wrong = p.rho * np.abs(p.shift(after) - p.shift(before))
-        return float(wrong.max(initial=0.0)) / (_pressing(r) or np.inf)
+        return float(wrong.max(initial=0.0)) / (_mean(r) or np.inf)
 
     def _proximal(
         self, r: Array, v: Array, stiff: float, residual: float, convex: bool
@@ -240,7 +240,7 @@ class Solver:
         x, F = v.copy(), law.balance(v)
         value = law.merit(x, F)
         for iteration in range(INNER + 1):
-            error = float(np.abs(F).max(initial=0.0)) / (_pressing(law.r) or 1.0)
+            error = float(np.abs(F).max(initial=0.0)) / (_mean(law.r) or 1.0)
             if not np.isfinite(error):
                 return None, None
             if error <= max(ACCURACY * min(residual, 1.0), 0.1 * MARGIN * self.tolerance):

@@ -153,4 +153,6 @@ class Impulses:
         lost = self._lost()
         lost[0] -= float((impulses[:, 1:] * mean[:, 1:]).sum())
         lost[1] -= float((impulses[:, 0] * mean[:, 0]).sum())
+        if points.law[:, 1:3].any():
+            hard.wear(system.contacts, points, impulses / h, after, problem.speed)
         system.hard_table = partial(hard.table, points, impulses / h, np.hypot(after[:, 1], after[:, 2]))

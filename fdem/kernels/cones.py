@@ -206,7 +206,7 @@ def natural_residual(u, mu, tension, cohesion, rho, r):
     where : int
         Point of the largest speed.
     mean : float
-        Mean pressing impulse [N s].
+        Mean normal impulse of the points that have one [N s].
     """
     worst, speed, where, mean, count = 0.0, 0.0, 0, 0.0, 0
     for i in range(len(u)):
@@ -220,8 +220,8 @@ def natural_residual(u, mu, tension, cohesion, rho, r):
         worst = max(worst, error)
         if not error <= speed * rho[i]:
             speed, where = error / rho[i], i
-        if r[i, 0] > 0.0:
-            mean += r[i, 0]
+        if r[i, 0] != 0.0:
+            mean += abs(r[i, 0])
             count += 1
     return worst, speed, where, mean / count if count else 0.0
 

@@ -65,8 +65,11 @@ class Joint:
         """Row of the property table that the law's sweep reads; the first two are kn and ks [Pa/m]."""
         raise UnsupportedError(f"{type(self).__name__}: a law needs properties(kn, ks)")
 
-    def hard(self) -> tuple[float, float, float, float] | None:
-        """Friction coefficient, cohesion [Pa], tension [Pa], restitution for `ContactDynamics`; None: no such law."""
+    def hard(self) -> tuple[float, ...] | None:
+        """Friction coefficient, cohesion [Pa], tension [Pa], restitution for `ContactDynamics`; None: no such law.
+
+        Then friction coefficient and cohesion [Pa] after the cohesion or tension was exceeded.
+        """
         return None
 
     @property
@@ -175,9 +178,19 @@ class Coulomb(Joint):
             *((float(self.rolling), float(self.twisting)) if self.sweep == "coulomb_moments" else ()),
         )
 
-    def hard(self) -> tuple[float, float, float, float]:
-        """Friction, cohesion, tension and restitution (0 if None) of hard contact."""
-        return _tan(self.friction), float(self.cohesion), float(self.tension), float(self.restitution or 0.0)
+    def hard(self) -> tuple[float, ...] | None:
+        """Friction, cohesion, tension, restitution (0 if None), what is left; no rolling, twisting, dilation."""
+        if self.rolling > 0.0 or self.twisting > 0.0 or self.dilation > 0.0:
+            return None
+        residual = self.friction if self.residual_friction is None else self.residual_friction
+        return (
+            _tan(self.friction),
+            float(self.cohesion),
+            float(self.tension),
+            float(self.restitution or 0.0),
+            _tan(residual),
+            float(self.residual_cohesion),
+        )
 
     @property
     def damping_ratio(self) -> float:
@@ -221,9 +234,9 @@ class Bonded(Joint):
         """Row of the table of the "bonded" sweep (kernels/joints.py)."""
         return kn, ks, _tan(self.friction), float(self.shear), float(self.tension)
 
-    def hard(self) -> tuple[float, float, float, float]:
-        """Friction, cohesion, tension and restitution of hard contact."""
-        return _tan(self.friction), float(self.shear), float(self.tension), 0.0
+    def hard(self) -> tuple[float, ...]:
+        """Friction, cohesion, tension and restitution of hard contact, and what is left of the first two."""
+        return _tan(self.friction), float(self.shear), float(self.tension), 0.0, _tan(self.friction), 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -433,3 +433,72 @@ def test_moving_wedge(offset):
     weight = 10 * sim["wedge"].mass
     pushes = [sim.pair_force(f"under {side}", "wedge") @ n / weight for side, n in zip("AB", SIDES, strict=True)]
     assert pushes == pytest.approx([RA, RB], abs=1e-5)
+
+
+# ------------------------------------------------------------------------------------- bodies that deform, and bonds
+
+
+@pytest.mark.parametrize("body", [fdem.UniformStrain(), fdem.LinearStrain(), fdem.Zoned(size=0.5)])
+def test_deformable_block_slides_or_sticks(body):
+    """The rigid block's path to 1e-5: elastic waves of sudden gravity move its centre by 1e-6 of it."""
+    scene, block = slope(20.0, body=body)
+    sim = simulate(scene, 1e-2)
+    sim.run(time=0.5)
+    a = np.radians(30.0)
+    exact = 0.125 * G * (np.sin(a) - np.cos(a) * np.tan(np.radians(20.0)))
+    assert sim[block].displacement[0] == pytest.approx(exact, rel=1e-5)
+    assert sim.energy.closure < 1e-6
+    scene, block = slope(40.0, body=body)
+    sim = simulate(scene, 1e-2)
+    sim.run(time=0.5)
+    # elastic: m g sin a over the shear stiffness of its height
+    assert abs(sim[block].displacement[0]) < 2000 * 0.5 * G / (STONE.young / 2.4 / 0.5)
+
+
+@pytest.mark.parametrize("body", [fdem.UniformStrain(), fdem.LinearStrain(), fdem.Zoned(size=0.5)])
+def test_stack_of_deformable_cubes(body):
+    """theta = 1 damps the waves of sudden gravity away: what lies above, to 1e-5."""
+    scene = fdem.Scene()
+    scene.add(fdem.brick((-1, -1, -1), (2, 2, 0)), fdem.Rigid(), fixed=True, name="floor")
+    for k in range(4):
+        scene.add(fdem.brick((0, 0, k), (1, 1, k + 1)), body, STONE, name=f"cube {k}")
+    scene.joint(fdem.Coulomb(friction=30))
+    sim = simulate(scene, 1e-2, theta=1.0)
+    sim.cycle(40)
+    for k in range(4):
+        below = "floor" if k == 0 else f"cube {k - 1}"
+        assert sim.pair_force(below, f"cube {k}")[2] == pytest.approx(2000 * G * (4 - k), rel=1e-5)
+
+
+@pytest.mark.parametrize(("share", "holds"), [(0.99, True), (1.01, False)])
+def test_cohesion_holds_until_it_is_exceeded(share, holds):
+    """A block on a slope of 30 degrees, phi = 20: c A = m g (sin a - cos a tan phi) is just enough; then it slides."""
+    a, phi = np.radians(30.0), 20.0
+    need = 2000 * 0.5 * G * (np.sin(a) - np.cos(a) * np.tan(np.radians(phi)))  # Pa on 1 m2
+    scene, block = slope(phi)
+    scene.joint(fdem.Coulomb(friction=phi, cohesion=need / share))
+    sim = simulate(scene, 1e-2)
+    sim.cycle(20)
+    exact = 0.0 if holds else 0.02 * need / 1000.0  # from the second step on friction alone
+    assert sim[block].displacement[0] == pytest.approx(exact, rel=0.11, abs=1e-7)
+
+
+@pytest.mark.parametrize(("share", "holds"), [(0.99, True), (1.01, False)])
+def test_tension_holds_until_it_is_exceeded(share, holds):
+    """A block that hangs from a ceiling by its weight over the area."""
+    scene = fdem.Scene()
+    scene.add(fdem.brick((-1, -1, 1), (2, 2, 2)), fdem.Rigid(), fixed=True)
+    block = scene.add(fdem.brick((0, 0, 0), (1, 1, 1)), fdem.Rigid(), STONE)
+    scene.joint(fdem.Coulomb(friction=30, tension=2000 * G / share, cohesion=1e6))
+    sim = simulate(scene, 1e-2)
+    sim.cycle(20)
+    assert sim[block].displacement[2] == pytest.approx(0.0 if holds else -0.5 * G * 0.04, rel=0.11, abs=1e-7)
+
+
+def test_not_converged_is_said():
+    scene = slope(20.0)[0]
+    with pytest.raises(fdem.ConvergenceError, match="'base' and 'block'; residuals: "):
+        simulate(scene, 1e-2, max_iterations=1).cycle(1)
+    with pytest.raises(fdem.UnsupportedError, match="hard"):
+        scene.joint(fdem.Coulomb(friction=20, rolling=0.1, kn=1e9, ks=1e9))
+        simulate(scene, 1e-2).cycle(1)
