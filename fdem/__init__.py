@@ -64,6 +64,7 @@ _HOME = {
     "fdem.integrate.nonsmooth": ("ContactDynamics",),
     "fdem.integrate.static": ("Static",),
     "fdem.simulation": ("Report", "Simulation", "load"),
+    "fdem.strength": ("StrengthReduction", "strength_reduction"),
     "fdem.results.history": ("Every", "History"),
     "fdem.results.output": ("Checkpoint", "Frames"),
 }
@@ -110,6 +111,7 @@ __all__ = [
     "Simulation",
     "SolveError",
     "Static",
+    "StrengthReduction",
     "Stress",
     "Support",
     "Traction",
@@ -132,6 +134,7 @@ __all__ = [
     "read",
     "show_log",
     "sphere",
+    "strength_reduction",
     "surface",
     "tet_mesh",
     "voronoi",

@@ -86,7 +86,7 @@ class Simulation(Readout):
         if source is not None:
             self._removed = source._removed
             # loads applied on the way go along within a scene; those of another scene know other blocks
-            known = source._applied if source.scene is scene else self._applied
+            known = source._applied if source.scene.loads is scene.loads else self._applied
             self._applied |= {key: replace(value) for key, value in source._applied.items() if key in known}
         self._before = None if source is None else Kept.of(source.compiled.layout)
         self._compile()
@@ -205,7 +205,7 @@ class Simulation(Readout):
         # while tractions of removed blocks are still being released, what looks like equilibrium is none
         released = max((at + over - first for _, _, at, over in self._releases), default=0)
         self._steps(min(max(released, 0), max_cycles))
-        watch = Watch(self.system, ratio)
+        watch = Watch(self.system, ratio, getattr(self.integrator, "at_rest", None))
         reason = watch.look()
         while reason is None and self.state.step - first < max_cycles:
             self._steps(min(watch.every, max_cycles - (self.state.step - first)))

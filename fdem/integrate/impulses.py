@@ -107,6 +107,13 @@ class Impulses:
             np.zeros(len(points)), friction, cohesion * share, tension * share,
         )  # fmt: skip
 
+    def largest_speed(self) -> float:
+        """Largest velocity of a gridpoint [m/s]."""
+        speed = np.zeros_like(self.state.x)
+        for batch in self.model.batches:
+            batch.push(self.state.q, self.state.v, speed)
+        return float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
+
     def push_out(self, problem: Any, gap: Array, size: Array) -> None:
         """Move blocks apart where gaps (n,) [m] are negative, by least displacements, `OUT` of the sizes (n,) at most.
 

@@ -75,6 +75,7 @@ class ContactDynamics:
         self.assembler = Assembler(system)
         self.step_length = self.dt
         self._points: Any = None
+        self._given = 0.0  # largest relative velocity without contact in the last step [m/s]
         self._impulses = np.zeros((0, 3))
         self.solver = self._hard.solver(self.tolerance, int(self.max_iterations))
         system.stale = False
@@ -86,6 +87,13 @@ class ContactDynamics:
     def limit(self, system: Any) -> float:
         """No step is too long to be stable: infinite."""
         return math.inf
+
+    def at_rest(self, share: float) -> bool:
+        """Whether nothing moves faster than `share` of the largest relative velocity without contact of the last step.
+
+        From rest one step shows it: what cannot stand has the velocity that its acceleration gives in the step.
+        """
+        return self._hard.largest_speed() <= share * self._given
 
     def step(self, system: Any, dt: float) -> None:
         """Advance by `dt` [s]."""
@@ -102,7 +110,7 @@ class ContactDynamics:
         points = hard.points()
         if points is None:
             self.iterations, self.sweeps, self.residual, self.penetration = 0, 0, 0.0, 0.0
-            state.v[:], impulses, problem = free, np.zeros((0, 3)), None
+            state.v[:], impulses, problem, self._given = free, np.zeros((0, 3)), None, 0.0
         else:
             self.penetration = -float(points.gap.min(initial=0.0))
             near = points.gap <= CLOSED * points.size
@@ -146,7 +154,7 @@ class ContactDynamics:
                 f"{self._hard.names(points, self.solver.worst)}; residuals: "
                 f"{', '.join(f'{e:.1e}' for e in self.solver.history[-8:])}; a shorter step or a larger tolerance helps"
             )
-        system.state.v[:] = v
+        system.state.v[:], self._given = v, problem.speed
         return impulses
 
     def _warm(self, points: Any) -> Array:

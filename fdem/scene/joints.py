@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -71,6 +71,16 @@ class Joint:
         Then friction coefficient and cohesion [Pa] after the cohesion or tension was exceeded.
         """
         return None
+
+    def weakened(self, factor: float) -> Joint:
+        """The law with its strength over `factor`, for `strength_reduction`.
+
+        Raises
+        ------
+        UnsupportedError
+            If strength is not a number in the law.
+        """
+        raise UnsupportedError(f"{type(self).__name__}: a law needs weakened(factor) for a strength reduction")
 
     @property
     def sweep(self) -> Any:
@@ -192,6 +202,12 @@ class Coulomb(Joint):
             float(self.residual_cohesion),
         )
 
+    def weakened(self, factor: float) -> Coulomb:
+        """Cohesion, tension and tangents of friction over `factor`, residual ones too."""
+        residual = None if self.residual_friction is None else _angle(_tan(self.residual_friction) / factor)
+        parts = {name: getattr(self, name) / factor for name in ("cohesion", "tension", "residual_cohesion")}
+        return replace(self, friction=_angle(_tan(self.friction) / factor), residual_friction=residual, **parts)
+
     @property
     def damping_ratio(self) -> float:
         """Fraction of critical damping: that of `restitution` if given, else `damping`."""
@@ -237,6 +253,11 @@ class Bonded(Joint):
     def hard(self) -> tuple[float, ...]:
         """Friction, cohesion, tension and restitution of hard contact, and what is left of the first two."""
         return _tan(self.friction), float(self.shear), float(self.tension), 0.0, _tan(self.friction), 0.0
+
+    def weakened(self, factor: float) -> Bonded:
+        """Strengths and tangent of friction over `factor`."""
+        friction = _angle(_tan(self.friction) / factor)
+        return replace(self, friction=friction, shear=self.shear / factor, tension=self.tension / factor)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -390,10 +411,18 @@ class Hertz(Joint):
             number("Hertz", "young", self.young, low=0.0, open_low=True)
             number("Hertz", "poisson", self.poisson, low=-1.0, high=0.5, open_low=True)
 
+    def weakened(self, factor: float) -> Hertz:
+        """Tangent of friction over `factor`."""
+        return replace(self, friction=_angle(_tan(self.friction) / factor))
+
     @property
     def damping_ratio(self) -> float:
         """Fraction of critical damping of the contact, as that of a linear one (contact/particles.py)."""
         return _damping_of(float(self.restitution))
+
+
+def _angle(tangent: float) -> float:
+    return float(np.degrees(np.arctan(tangent)))
 
 
 def _damping_of(restitution: float) -> float:
