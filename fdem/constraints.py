@@ -295,6 +295,10 @@ class Constraints:
         for group in self.coupled:
             group.prescribe(v, q, q0, t, dt, share)
 
+    def velocity(self, motion: Motion, t: float) -> np.ndarray:
+        """Velocities of a prescribed motion at the time `t`."""
+        return motion.values * _factor(motion.handle, t)
+
     def ahead(self, q: np.ndarray, q0: np.ndarray, t: float) -> float:
         """Prescribed displacement still to come at time `t`, over the largest prescribed: the worst of all loads."""
         worst = max((group.ahead(q, q0, t) for group in self.coupled), default=0.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time as clock
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +13,7 @@ import numpy as np
 from fdem import checkpoint
 from fdem.compile import Compiled, compile_scene
 from fdem.contact import carry
-from fdem.errors import ConvergenceError, FdemWarning, SceneError
+from fdem.errors import FdemWarning, SceneError
 from fdem.guard import CHECK_EVERY, Guard
 from fdem.integrate.explicit import Explicit, Relaxation
 from fdem.integrate.system import System
@@ -25,7 +24,7 @@ from fdem.results.history import Every, History, adapted, watch
 from fdem.scene.checks import number
 from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Fix, Gridpoint, Scene, Where
-from fdem.stopping import Report, Watch
+from fdem.stopping import Report, solve
 from fdem.views import BlockView, GridpointView, LoadView
 
 __all__ = ["Report", "Simulation", "load"]
@@ -108,7 +107,8 @@ class Simulation(Readout):
 
     def _make_system(self, compiled: Compiled) -> None:
         self.model, self.state, self.drags = compiled.model, compiled.state, compiled.drags
-        self._turning = [(batch, _run(batch.rows)) for batch in compiled.model.batches if batch.turns]
+        self._turning = [_run(batch.rows) for batch in compiled.model.batches if batch.turns]
+        self._turns = self.integrator.take_turns if getattr(self.integrator, "implicit", False) else self._advanced
         loads = compiled.loads + [Release(None, gp, forces, at, over) for gp, forces, at, over in self._releases]
         self.system = System(
             compiled.model,
@@ -151,8 +151,13 @@ class Simulation(Readout):
 
     def _step(self, dt: float) -> None:
         self.integrator.step(self.system, dt)
-        for batch, rows in self._turning:
-            self.turned[rows] += batch.turn(self.state.q, self.state.v, self.system.dt)
+        for rows, turn in zip(self._turning, self._turns(), strict=True):
+            self.turned[rows] += turn
+
+    def _advanced(self) -> list[np.ndarray]:
+        """Rotation vectors of the last explicit step, of the batches that turn."""
+        state, dt = self.state, self.system.dt
+        return [batch.turn(state.q, state.v, dt) for batch in self.model.batches if batch.turns]
 
     def _start_progress(self, n: int, end: float | None) -> Any:
         if self._progress is False:
@@ -194,54 +199,13 @@ class Simulation(Readout):
         Returns
         -------
         Report
-            Why it stopped, with ratio, kinetic energy and the displacement still to come.
+            Why it stopped, with ratio, kinetic energy and the displacement still to come. `Static` takes one step,
+            that is all its load steps, to the smaller of `ratio` and its own tolerance.
         """
         number("solve", "ratio", ratio, low=0.0, open_low=True)
         if not isinstance(max_cycles, (int, np.integer)) or max_cycles < 0:
             raise SceneError(f"solve: max_cycles = {max_cycles!r}, allowed is a whole number >= 0")
-        if getattr(self.integrator, "static", False):
-            return self._equilibrium(ratio)
-        begin, first = clock.perf_counter(), self.state.step
-        # while tractions of removed blocks are still being released, what looks like equilibrium is none
-        released = max((at + over - first for _, _, at, over in self._releases), default=0)
-        self._steps(min(max(released, 0), max_cycles))
-        watch = Watch(self.system, ratio, getattr(self.integrator, "at_rest", None))
-        reason = watch.look()
-        while reason is None and self.state.step - first < max_cycles:
-            self._steps(min(watch.every, max_cycles - (self.state.step - first)))
-            reason = watch.look()
-        return Report(
-            converged=reason == "equilibrium",
-            reason=reason or "cycles",
-            cycles=self.state.step - first,
-            ratio=watch.ratio,
-            start_ratio=watch.start_ratio,
-            kinetic_ratio=watch.kinetic_ratio,
-            remaining=watch.remaining,
-            wall_time=clock.perf_counter() - begin,
-        )
-
-    def _equilibrium(self, ratio: float) -> Report:
-        """One step of an integrator that finds equilibrium by itself."""
-        begin = clock.perf_counter()
-        integrator, start, reason = self.integrator, self.system.ratio(), "equilibrium"
-        tolerance, integrator.tolerance = integrator.tolerance, min(ratio, integrator.tolerance)
-        try:
-            self._steps(1)
-        except ConvergenceError:
-            reason = "collapse"
-        finally:
-            integrator.tolerance = tolerance
-        return Report(
-            converged=reason == "equilibrium",
-            reason=reason,
-            cycles=integrator.iterations,
-            ratio=self.system.ratio(),
-            start_ratio=start,
-            kinetic_ratio=0.0,
-            remaining=0.0,
-            wall_time=clock.perf_counter() - begin,
-        )
+        return solve(self, ratio, int(max_cycles))
 
     def apply(self, load: Any, target: Any = None, where: Where | None = None, factor: Any = 1.0) -> Applied:
         """Apply a load from now on (see `Scene.apply`)."""

@@ -21,6 +21,7 @@ __all__ = [
     "of_blocks",
     "same",
     "turn",
+    "turn_on",
     "zone_mass",
     "zone_tangent",
 ]
@@ -40,9 +41,15 @@ class Additive:
         """Unknowns (m, width) that belong together: those of a block, or of a gridpoint."""
         return np.arange(self.dofs.start, self.dofs.stop).reshape(-1, self.width)
 
+    steady = True  # the mass does not depend on q
+
     def shift(self, q: Array, d: Array) -> None:
         """Move `q` by the increment `d` (n_dofs,)."""
         q[self.coords] += d[self.dofs]
+
+    def compose(self, d: Array, change: Array) -> None:
+        """Let the increment `d` (n_dofs,) be that of `d` and then `change`."""
+        d[self.dofs] += change[self.dofs]
 
     def gyroscopic(self, q: Array, v: Array, f: Array) -> None:
         """Nothing: the mass is constant."""
@@ -53,7 +60,24 @@ class Additive:
 
 
 class Stiff:
-    """Batches without internal forces."""
+    """Batches without internal forces: six unknowns a block, translation and rotation."""
+
+    dofs: slice
+    oriented = True  # rotations are kept; else they are angles rolled, which add up
+
+    def groups(self) -> Array:
+        """Unknowns (n_blocks, 6) that belong together: those of every block."""
+        return np.arange(self.dofs.start, self.dofs.stop).reshape(-1, 6)
+
+    def compose(self, d: Array, change: Array) -> None:
+        """Let the increment `d` (n_dofs,) be that of `d` and then `change`."""
+        own, more = d[self.dofs].reshape(-1, 6), change[self.dofs].reshape(-1, 6)
+        own[:, :3] += more[:, :3]
+        own[:, 3:] = turn_on(own[:, 3:], more[:, 3:]) if self.oriented else own[:, 3:] + more[:, 3:]
+
+    def turned(self, q0: Array, q: Array, d: Array) -> Array:
+        """Rotation vectors (n_blocks, 3) [rad] of the increment `d` from `q0` to `q`."""
+        return d[self.dofs].reshape(-1, 6)[:, 3:].copy()
 
     def tangent(self, q: Array, x: Array) -> Entries:
         """Nothing: there are no internal forces."""
@@ -95,13 +119,27 @@ def of_arms(first: int, arms: Array, groups: Array, count: Array) -> Entries:
 def turn(q: Array, d: Array) -> None:
     """Move places and unit quaternions `q` (n, 7) by translations and rotation vectors `d` (n, 6) [m, rad]."""
     q[:, :3] += d[:, :3]
-    half = 0.5 * d[:, 3:]
-    angle = np.linalg.norm(half, axis=1)
-    w, u = np.cos(angle), np.sinc(angle / np.pi)[:, None] * half
-    w0, u0 = q[:, 3].copy(), q[:, 4:].copy()
-    q[:, 3] = w * w0 - np.einsum("ni,ni->n", u, u0)
-    q[:, 4:] = w[:, None] * u0 + w0[:, None] * u + np.cross(u, u0)
+    q[:, 3], q[:, 4:] = _product(*_quaternions(d[:, 3:]), q[:, 3], q[:, 4:])
     q[:, 3:] /= np.linalg.norm(q[:, 3:], axis=1)[:, None]
+
+
+def turn_on(first: Array, second: Array) -> Array:
+    """Rotation vectors (n, 3) of the rotations `first` (n, 3) and then `second` [rad]; exact for small ones too."""
+    w, u = _product(*_quaternions(second), *_quaternions(first))
+    sine = np.linalg.norm(u, axis=1)
+    angle = 2.0 * np.arctan2(sine, w)
+    return np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0)[:, None] * u
+
+
+def _quaternions(turns: Array) -> tuple[Array, Array]:
+    """Unit quaternions of rotation vectors (n, 3): w (n,) and the rest (n, 3)."""
+    angle = 0.5 * np.linalg.norm(turns, axis=1)
+    return np.cos(angle), 0.5 * np.sinc(angle / np.pi)[:, None] * turns
+
+
+def _product(w: Array, u: Array, w0: Array, u0: Array) -> tuple[Array, Array]:
+    """Product of quaternions (w, u) (w0, u0)."""
+    return w * w0 - np.einsum("ni,ni->n", u, u0), w[:, None] * u0 + w0[:, None] * u + np.cross(u, u0)
 
 
 def zone_mass(blocks: ZonedBlocks) -> Entries:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from fdem.blocks import entries, fieldmasses
 from fdem.blocks.bounds import Springs, share
+from fdem.blocks.zoneforces import rotation_vectors
 from fdem.errors import SceneError
 from fdem.kernels import fields as kernels
 
@@ -322,6 +323,10 @@ class FieldBlocks(entries.Additive):
     def turn(self, q: Array, v: Array, dt: float) -> Array:
         """Rotation vectors (n_blocks, 3) [rad] of the last step, exact at any angle below pi."""
         return self._turned
+
+    def turned(self, q0: Array, q: Array, d: Array) -> Array:
+        """Rotation vectors (n_blocks, 3) [rad] of the increment `d` from `q0` to `q`."""
+        return rotation_vectors(self.rotation(q) @ np.swapaxes(self.rotation(q0), 1, 2))
 
     def second_moments(self, q: Array) -> Array:
         """Integral of ``rho r r^T`` about the centres now (n_blocks, 3, 3) [kg m^2]."""

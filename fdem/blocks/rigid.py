@@ -58,6 +58,7 @@ class RigidBlocks(entries.Stiff):
     turns = True
     coupled = False
     has_strain = False
+    steady = False
 
     def __init__(
         self,
@@ -409,10 +410,6 @@ class RigidBlocks(entries.Stiff):
         # [f]x [r]x = r f^T - (f.r) 1
         turned = arm[:, :, None] * force[:, None, :] - np.sum(arm * force, axis=1)[:, None, None] * np.eye(3)
         return entries.of_blocks(self.dofs.start + 6 * np.arange(self.n_blocks) + 3, self._sum(turned))
-
-    def groups(self) -> npt.NDArray[np.int64]:
-        """Unknowns (n_blocks, 6) that belong together: those of every block."""
-        return self.dofs.start + np.arange(6 * self.n_blocks).reshape(-1, 6)
 
     def shift(self, q: Array, d: Array) -> None:
         """Move `q` by the translations and rotation vectors in `d` (n_dofs,) [m, rad]."""

@@ -43,6 +43,7 @@ class SphereBlocks(entries.Stiff):
     has_strain = False
     coupled = False
     oriented = False
+    steady = True
 
     def __init__(
         self, centre: Array, radius: Array, mass: Array, dofs: slice, coords: slice, gridpoints: slice
@@ -223,10 +224,6 @@ class SphereBlocks(entries.Stiff):
     def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
         """Nothing: forces act at the centres."""
         return entries.nothing()
-
-    def groups(self) -> npt.NDArray[np.int64]:
-        """Unknowns (n_blocks, 6) that belong together: those of every sphere."""
-        return self.dofs.start + np.arange(6 * self.n_blocks).reshape(-1, 6)
 
     def shift(self, q: Array, d: Array) -> None:
         """Move the centres by the translations in `d` (n_dofs,) [m]."""

@@ -104,6 +104,7 @@ class JointTables:
                 closure=type(law).closure,
                 reach=np.array(reach),
                 corner=np.array(corner),
+                smooth=bool(type(law).smooth),
             )
             try_law(name, table)
             result.append(table)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdem.errors import JointError, SceneError
-from fdem.kernels import joints, jointtangents
+from fdem.kernels import joints
 
 if TYPE_CHECKING:
     from fdem.contact.narrow import Patches
@@ -85,6 +85,8 @@ class LawTable:
         Length [m] over which closure changes the normal stiffness; infinite: it does not.
     corner : (n_props,) array, optional
         Least area of a contact [m2] (kernels/corners.py); 0: none.
+    smooth : bool
+        Whether differences of the law are a tangent: for implicit methods.
     hard : (n_props, 6) array, optional
         Friction coefficient, cohesion [Pa], tension [Pa] and restitution of the hard counterpart, friction coefficient
         and cohesion after its strength was exceeded; None: none.
@@ -104,6 +106,7 @@ class LawTable:
     closure: Any = None
     reach: Any = None
     corner: Array | None = None
+    smooth: bool = False
     hard: Array | None = None
 
     def __post_init__(self) -> None:
@@ -113,9 +116,8 @@ class LawTable:
         traits: dict[str, Any] = {name: np.full(n, need in self.needs) for name, need in _ROWWISE}
         traits |= {"damped": "damping" in self.needs, "arms": "arms" in self.needs, "lengths": np.zeros((n, 2))}
         traits |= {"columns": self.columns, "reach": np.full(n, np.inf) if self.reach is None else self.reach}
-        self.response = None
         if isinstance(self.kernel, str):
-            self.response = getattr(jointtangents, self.kernel, None)
+            self.smooth = True
             if self.kernel not in KNOWN:
                 raise SceneError(f"joint law {self.kernel!r}: known names are {', '.join(map(repr, KNOWN))}")
             self.sweep = getattr(joints, self.kernel)

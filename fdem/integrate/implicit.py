@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,22 +11,31 @@ import numpy as np
 
 from fdem.errors import ConvergenceError, OverlapError, SceneError
 from fdem.integrate.linear import LinearSolver
-from fdem.integrate.matrices import Assembler
 from fdem.integrate.trial import Trial
 
 __all__ = ["GeneralizedAlpha", "Newmark"]
 
 Array = Any
 
+NEAR = 1e-3  # of the smallest block's size: longest motion of the guess, so that what touches is still there
+FAR = 0.25  # of that size: longest motion in a Newton step
+STALLED = 0.3  # of the best residual so far: a residual that falls less than that has come to round-off
 RECUTS = 4  # times the contacts may be found anew within a step
 CLIMB = 2.0  # growth of the residual that a Newton step may bring before it is shortened
 SHORTENINGS = 3  # of a Newton step, by half
+SMALLEST = 0.125  # share of Newton's steps taken where sets of contacts go round in circles
 HALVINGS = 10  # of the time step
+KEPT = 100_000  # accepted steps whose residuals are kept for the report
 
 
 def told(history: list[float]) -> str:
     """The last residuals, for messages."""
     return ", ".join(f"{r:.1e}" for r in history[-6:])
+
+
+def settled(history: list[float], tolerance: float, floor: float) -> bool:
+    """Whether the last residual is small enough: as asked for, or at round-off `floor` and no longer falling."""
+    return history[-1] <= tolerance or (history[-1] <= floor and history[-1] > STALLED * min(history[:-1]))
 
 
 def _number(owner: str, name: str, value: Any, low: float, high: float = math.inf) -> None:
@@ -54,6 +64,18 @@ class Rule:
 
 
 @dataclass
+class _Start:
+    """What a step starts from: velocity, acceleration, forces of all kinds and inertia, and the step [s]."""
+
+    v: Array
+    a: Array
+    plain: Array
+    all: Array
+    inertia: Array
+    h: float
+
+
+@dataclass
 class _Implicit:
     """Newton's method on the equations at the end of the step, shared by the implicit integrators."""
 
@@ -62,8 +84,10 @@ class _Implicit:
     max_iterations: int = field(default=30, kw_only=True)
     solver: str = field(default="auto", kw_only=True)
     scaled: bool = field(default=False, init=False, repr=False)
+    implicit: bool = field(default=True, init=False, repr=False)
     history: list[float] = field(default_factory=list, init=False, repr=False)
     iterations: int = field(default=0, init=False, repr=False)
+    accepted: Any = field(default_factory=lambda: deque(maxlen=KEPT), init=False, repr=False)
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
@@ -81,10 +105,15 @@ class _Implicit:
         if system.lag:
             system.state.v[:] = system.velocity()
             system.lag = 0.0
-        self.assembler, self.trial = Assembler(system), Trial(system)
+            system.a_old = None
+        self.trial = Trial(system)
         self.step_length = self.dt
-        self._a: Array | None = None
+        self._h = self.dt
         system.stale = False
+
+    def take_turns(self) -> list[Any]:
+        """Rotation vectors since last asked, of the batches that turn."""
+        return self.trial.take_turns()
 
     def refresh(self, system: Any) -> None:
         """Nothing hangs on the stable step."""
@@ -96,95 +125,120 @@ class _Implicit:
 
     def step(self, system: Any, dt: float) -> None:
         """Advance by `dt` [s], in shorter steps where Newton's method does not converge."""
-        left, h = dt, dt
+        left = dt
         while left > 1e-9 * dt:
-            h = min(h, left)
-            if self._attempt(system, h):
+            h = min(self._h, left)
+            done = self._attempt(system, h, last=h <= 2.0 * dt * 0.5**HALVINGS)
+            if done:
                 left -= h
-                h *= 2.0
+                self._h = min(2.0 * self._h, self.dt) if h == self._h else self._h
                 continue
-            h *= 0.5
-            if h < dt * 0.5**HALVINGS:
+            self._h = 0.5 * h
+            if self._h < dt * 0.5**HALVINGS:
                 raise ConvergenceError(
                     f"step {system.state.step}, t = {system.state.t:.6g} s: no convergence in {self.max_iterations} "
-                    f"iterations even with dt = {h:.3g} s; residuals {told(self.history)}; "
-                    f"worst is {self.trial.worst_block()}"
+                    f"iterations even with dt = {h:.3g} s; residuals {told(self.history)}; {self._culprit}"
                 )
         system.state.step += 1
 
-    def _attempt(self, system: Any, h: float) -> bool:
+    def _attempt(self, system: Any, h: float, last: bool) -> bool:
         """One step of `h` [s]; everything as before if it does not converge."""
-        state, rule = system.state, self.rule
-        trial = self.trial
-        trial.mass = mass = self.assembler.mass()
-        f0 = trial.all_forces()
-        if self._a is None or len(self._a) != len(state.v):
-            self._a = system.accelerate(f0).copy()
-        a0, v0 = self._a, state.v.copy()
-        system.commit()
-        before = trial.snapshot()
-        d = h * v0 + 0.5 * h * h * a0
-        trial.prescribe_increment(d, h)
+        state, trial = system.state, self.trial
+        start = self._begin(system, h)
+        d = h * start.v + 0.5 * h * h * start.a
+        d *= min(1.0, NEAR / max(trial.relative_motion(d), NEAR))
+        trial.prescribe(d, h)
         converged = False
         try:
-            trial.displace(before, d, h)
-            converged = self._iterate(d, v0, a0, f0, mass, h)
+            trial.displace(d, h)
+            converged = self._iterate(start)
         except OverlapError:
-            if h < self.dt * 0.5 ** (HALVINGS - 1):
+            if last:
                 raise
+            self._culprit = "blocks overlap too deep"
         if not converged:
-            trial.back_to(before)
+            trial.back()
             return False
-        v1, a1 = rule.rates(d, v0, a0, h)
-        system.damped += trial.numerical_loss(d, v0, v1, a0, a1)
-        state.v[:], self._a = v1, a1
+        v1, system.a_old = self._rates(start)
+        before = self._kinetic
+        state.v[:] = v1
+        plain = trial.plain_forces()
+        system.damped += 0.5 * trial.work_on_free(start.plain + plain) - (trial.kinetic() - before)
+        self.accepted.append((self.history[-1], trial.accept()))
         return True
 
-    def _iterate(self, d: Array, v0: Array, a0: Array, f0: Array, mass: Any, h: float) -> bool:
-        """Newton's method on the increment `d`, in place."""
-        trial, rule, recuts, shortened, seen, last = self.trial, self.rule, 0, 0, set(), b""
-        self.history = []
-        change = None
-        for iteration in range(self.max_iterations + 1):
-            v1, a1 = rule.rates(d, v0, a0, h)
-            r = self._residual(v1, a1, a0, f0, mass)
-            ratio = trial.residual_ratio(r, a1)
-            self.history.append(ratio)
-            if not np.isfinite(ratio):
-                return False
-            if ratio <= self.tolerance:
-                if recuts < RECUTS and trial.find_contacts():
-                    recuts += 1
-                    continue
-                self.iterations = iteration
-                return True
-            if iteration == self.max_iterations:
-                return False
-            mark = trial.contact_state()
-            circling = mark != last and mark in seen  # a set of open, closed and slipping points that comes back
-            seen.add(mark)
-            last = mark
-            if change is not None and shortened < SHORTENINGS and (circling or ratio > CLIMB * self.history[-2]):
-                change = 0.5 * change
-                trial.displace_further(-change)
-                d -= change
-                shortened += 1
-                continue
-            shortened = 0
-            cm = (1.0 - rule.alpha_m) / (rule.beta * h * h * (1.0 - rule.alpha_f))
-            A = self.assembler.effective(mass, cm, rule.gamma / (rule.beta * h), h)
-            change = self.linear.solve(A, r / (1.0 - rule.alpha_f), self.assembler.groups, None, False)
-            trial.displace_further(change)
-            d += change
-        return False
+    def _begin(self, system: Any, h: float) -> _Start:
+        """Accept where the last step ended."""
+        trial = self.trial
+        plain = system.forces().copy()
+        trial.begin()
+        forces = trial.all_forces(plain)
+        if system.a_old is None:
+            system.a_old = system.accelerate(forces).copy()
+        self._kinetic = trial.kinetic()
+        a = system.a_old
+        return _Start(system.state.v.copy(), a, plain, forces, trial.assembler.mass() @ a, h)
 
-    def _residual(self, v1: Array, a1: Array, a0: Array, f0: Array, mass: Any) -> Array:
-        rule = self.rule
-        self.trial.state.v[:] = v1
-        r = (1.0 - rule.alpha_f) * self.trial.all_forces() + rule.alpha_f * f0
-        r -= mass @ ((1.0 - rule.alpha_m) * a1 + rule.alpha_m * a0)
-        self.trial.constraints.release(r)
-        return r
+    def _rates(self, start: _Start) -> tuple[Array, Array]:
+        """Velocity and acceleration of the trial; prescribed ones as prescribed, not as the rule would have them."""
+        trial, h = self.trial, start.h
+        v, a = self.rule.rates(trial.d, start.v, start.a, h)
+        if trial.constraints.moving:
+            trial.constraints.keep(v, trial.end_velocity(trial.d, h))
+            trial.constraints.keep(a, (v - start.v) / h)
+        return v, a
+
+    def _residual(self, start: _Start) -> tuple[Array, Array]:
+        """Unbalanced forces of the trial, and its acceleration."""
+        rule, trial = self.rule, self.trial
+        trial.state.v[:], a = self._rates(start)
+        r = (1.0 - rule.alpha_f) * trial.all_forces(trial.plain_forces()) + rule.alpha_f * start.all
+        r -= (1.0 - rule.alpha_m) * (trial.assembler.mass() @ a) + rule.alpha_m * start.inertia
+        return trial.released(r), a
+
+    def _iterate(self, start: _Start) -> bool:
+        """Newton's method on the increment of the trial."""
+        rule, trial, h = self.rule, self.trial, start.h
+        cm = (1.0 - rule.alpha_m) / (rule.beta * h * h * (1.0 - rule.alpha_f))
+        recuts, share, floor, last = 0, 1.0, 0.0, b""
+        seen: dict[bytes, float] = {}  # best residual with every set of open, closed and slipping points
+        self.history = []
+        r, a = self._residual(start)
+        for iteration in range(self.max_iterations + 1):
+            ratio = trial.residual_ratio(r, a)
+            self.history.append(ratio)
+            if settled(self.history, self.tolerance, floor):
+                if recuts == RECUTS or not trial.find_contacts():
+                    self.iterations = iteration
+                    trial.refuse_leaps()
+                    return True
+                recuts += 1
+                r, a = self._residual(start)
+                continue
+            mark = trial.contact_state()
+            # a set that comes back without gain: Newton's method goes round in circles
+            circling = mark != last and ratio > 0.5 * seen.get(mark, math.inf)
+            share = max(0.5 * share, SMALLEST) if circling else min(2.0 * share, 1.0)
+            seen[mark], last = min(ratio, seen.get(mark, math.inf)), mark
+            if iteration == self.max_iterations or not math.isfinite(ratio):
+                break
+            try:
+                A = trial.assembler.effective(cm, rule.gamma / (rule.beta * h), h)
+                change = self.linear.solve(A, r / (1.0 - rule.alpha_f), trial.assembler)
+            except ConvergenceError:
+                break
+            floor = trial.round_off(a)
+            change *= min(share, FAR / max(trial.relative_motion(change), FAR))
+            trial.displace_further(change)
+            r, a = self._residual(start)
+            for _ in range(SHORTENINGS):
+                if trial.residual_ratio(r, a) <= CLIMB * ratio:
+                    break
+                change *= 0.5
+                trial.displace_further(-change)
+                r, a = self._residual(start)
+        self._culprit = trial.worst(r)
+        return False
 
 
 @dataclass

@@ -34,6 +34,15 @@ class Impulses:
         system.harden()
         system.hard_table = partial(hard.table, hard.NONE, np.zeros((0, 3)), np.zeros(0))
 
+    def snapshot(self) -> tuple[Any, ...]:
+        """What `back_to` needs."""
+        return self.state.q.copy(), self.state.v.copy(), self.state.t
+
+    def back_to(self, before: tuple[Any, ...]) -> None:
+        """Give up a step."""
+        self.state.q[:], self.state.v[:], self.state.t = before
+        self.drift(0.0)
+
     def commit_loads(self) -> None:
         """Work of loads up to here, positions as those of the last commit."""
         self.system.forces()

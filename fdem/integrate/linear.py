@@ -44,17 +44,15 @@ class LinearSolver:
         if self.method not in METHODS:
             raise SceneError(f"solver = {self.method!r}, allowed are {', '.join(map(repr, METHODS))}")
 
-    def solve(self, A: Any, b: Array, groups: list[Array], modes: Array | None, static: bool) -> Array:
+    def solve(self, A: Any, b: Array, assembler: Any, static: bool = False) -> Array:
         """Solution of ``A x = b``.
 
         Parameters
         ----------
         A : (n, n) scipy sparse matrix
         b : (n,) array
-        groups : list of (m, k) int arrays
-            Unknowns that belong together, m groups of k: the blocks of block Jacobi.
-        modes : (n, k) array or None
-            Near null space (rigid motions) for multigrid.
+        assembler : Assembler
+            Knows which unknowns belong together, and the rigid motions.
         static : bool
             Whether A has no mass in it.
 
@@ -63,18 +61,19 @@ class LinearSolver:
         ConvergenceError
             A is singular.
         """
-        n = len(b)
+        n, groups = len(b), assembler.groups
         if not b.any():
             return np.zeros(n)
         few = max((g.shape[1] for g in groups), default=3) > 3
         method = self.method
         if method == "auto":
-            method = "direct" if n <= (PLANAR if few else SMALL) else "amg" if static and modes is not None else "cg"
+            big = "amg" if static and assembler.modes() is not None else "cg"
+            method = "direct" if n <= (PLANAR if few else SMALL) else big
         if method != "direct" and not _symmetric(A):
             return self._unsymmetric(A, b, groups)
         if method == "direct":
             return self._direct(A, b)
-        precondition = _block_jacobi(A, groups) if method == "cg" else _multigrid(A, modes)
+        precondition = _block_jacobi(A, groups) if method == "cg" else _multigrid(A, assembler.modes())
         x, count, converged = conjugate_gradients(A, b, precondition, self.tolerance)
         self.used, self.iterations = f"{method}, {count} iterations", count
         return x if converged else self._unsymmetric(A, b, groups)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fdem.contact import tangents
+from fdem.contact import sphere_tangents, tangents
 
 __all__ = ["Assembler", "projector"]
 
@@ -26,20 +26,37 @@ class Assembler:
         self.system = system
         self.n = len(system.state.v)
         self.groups = [batch.groups() for batch in system.model.batches]
+        self._steady = all(batch.steady for batch in system.model.batches)
+        self._mass: Any = None
+        self.stiffest = 0.0  # largest stiffness of a gridpoint in the last matrix [N/m]
 
     def mass(self) -> Any:
-        """Mass matrix (n, n), scipy CSR."""
+        """Mass matrix (n, n) at the present trial, scipy CSR."""
         from scipy.sparse import coo_matrix
 
-        parts = [batch.mass_entries(self.system.state.q) for batch in self.system.model.batches]
-        return coo_matrix(_joined(parts), shape=(self.n, self.n)).tocsr()
+        if self._mass is None or not self._steady:
+            parts = [batch.mass_entries(self.system.state.q) for batch in self.system.model.batches]
+            self._mass = coo_matrix(_joined(parts), shape=(self.n, self.n)).tocsr()
+        return self._mass
 
-    def effective(self, mass: Any, cm: float, cc: float, dt: float) -> Any:
-        """``cm M + cc C + K`` at the present trial, constraints projected out, scipy CSR."""
+    def effective(self, cm: Any, cc: float, dt: float, extra: Any = None) -> Any:
+        """``cm M + cc C + K + extra`` at the present trial, constraints projected out, scipy CSR.
+
+        Parameters
+        ----------
+        cm, cc : float
+            Factors of mass and damping [1/s^2, 1/s].
+        dt : float
+            Time since the last commit [s], for the dashpots of contacts; 0: none.
+        extra : (n, n) scipy sparse matrix, optional
+            Added.
+        """
         from scipy.sparse import coo_matrix
 
         system, state = self.system, self.system.state
         inner = [batch.tangent(state.q, state.x) for batch in system.model.batches]
+        in_place = [part[2] for part, batch in zip(inner, system.model.batches, strict=True) if batch.in_place]
+        self.stiffest = max((float(np.abs(values).max(initial=0.0)) for values in in_place), default=0.0)
         forces = state.f_gp if system.f_load is None else state.f_gp + system.f_load
         for batch in system.model.batches:
             rows, columns, values = batch.geometric(state.q, forces)
@@ -47,14 +64,17 @@ class Assembler:
         K = coo_matrix(_joined(inner), shape=(self.n, self.n)).tocsr()
         outer = self._at_gridpoints(cc, dt)
         if outer is not None:
-            P = self.placement()
+            self.stiffest = max(self.stiffest, float(np.abs(outer.diagonal()[: state.x.size]).max(initial=0.0)))
+            P = self.placement(turns=outer.shape[0] > state.x.size)
             K = K + P.T @ outer @ P
         if cm:
-            K = K + cm * mass
+            K = K + cm * self.mass()
         if cc and system.rate is not None:
             from scipy.sparse import diags
 
-            K = K + diags(np.broadcast_to(np.asarray(cc * system.rate), (self.n,))) @ mass
+            K = K + self.mass() @ diags(np.broadcast_to(np.asarray(cc * system.rate), (self.n,)))
+        if extra is not None:
+            K = K + extra
         return self.constrained(K.tocsr())
 
     def joints(self) -> Any:
@@ -94,16 +114,20 @@ class Assembler:
         inner = [batch.tangent(state.q, state.x) for batch in self.system.model.batches if batch.has_internal]
         return coo_matrix(_joined(inner), shape=(self.n, self.n)).tocsr() if inner else None
 
-    def placement(self) -> Any:
-        """``P`` (3 n_gp, n) of ``xdot = P v``, scipy CSR."""
-        from scipy.sparse import coo_matrix
+    def placement(self, turns: bool = False) -> Any:
+        """``P`` (3 n_gp, n) of ``xdot = P v``, scipy CSR; with `turns` the unknowns themselves below."""
+        from scipy.sparse import coo_matrix, identity, vstack
 
         state = self.system.state
         parts = [batch.jacobian(state.q) for batch in self.system.model.batches]
-        return coo_matrix(_joined(parts), shape=(state.x.size, self.n)).tocsr()
+        P = coo_matrix(_joined(parts), shape=(state.x.size, self.n)).tocsr()
+        return vstack([P, identity(self.n)], format="csr") if turns else P
 
     def _at_gridpoints(self, cc: float, dt: float) -> Any:
-        """Stiffness of contacts, bedding, dashpots and follower loads between gridpoints (3 n_gp, 3 n_gp)."""
+        """Stiffness of contacts, bedding, dashpots and follower loads between gridpoints; None: there are none.
+
+        (3 n_gp, 3 n_gp), or with the unknowns below where there are spheres.
+        """
         from scipy.sparse import coo_matrix
 
         system, state = self.system, self.system.state
@@ -121,10 +145,15 @@ class Assembler:
                 rows.append(np.broadcast_to(3 * first[:, None, None] + np.arange(3)[:, None], block.shape).ravel())
                 cols.append(np.broadcast_to(3 * second[:, None, None] + np.arange(3), block.shape).ravel())
                 values.append(block.ravel())
+        size = state.x.size
+        if system.particles is not None:
+            first, second, rates = sphere_tangents.tangent(system.particles, len(state.x))
+            rows, cols, values = [*rows, first], [*cols, second], [*values, -rates]
+            size += self.n
         if not rows:
             return None
         entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))
-        return coo_matrix(entries, shape=(state.x.size, state.x.size)).tocsr()
+        return coo_matrix(entries, shape=(size, size)).tocsr()
 
     def constrained(self, K: Any) -> Any:
         """``N^T K N + s (1 - N)^T (1 - N)`` with the projector N on what is free, s of the size of K's diagonal."""

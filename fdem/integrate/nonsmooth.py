@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from fdem.errors import ConvergenceError
-from fdem.integrate.implicit import _number
+from fdem.integrate.implicit import KEPT, _number
 from fdem.integrate.impulses import Impulses
 from fdem.integrate.matrices import Assembler
 
@@ -32,9 +33,19 @@ class ContactDynamics:
     theta : float, optional
         1/2: no numerical damping of smooth motion; 1: implicit Euler.
     tolerance : float, optional
-        Largest change of an impulse in the last sweep over the mean normal impulse.
+        Largest error of an impulse over the mean one, or of a velocity over the largest that there would be without
+        contact.
     max_iterations : int, optional
-        Sweeps before `ConvergenceError`.
+        Newton iterations of a step before `ConvergenceError`.
+
+    Attributes
+    ----------
+    iterations, sweeps : int
+        Newton iterations of the last step, and sweeps of Gauss-Seidel where they needed help.
+    residual : float
+        Error of the last step, as for `tolerance`.
+    penetration : float
+        Largest in the middle of the last step [m].
 
     Raises
     ------
@@ -43,11 +54,12 @@ class ContactDynamics:
 
     Notes
     -----
-    ``q_m = q0 + h (1 - theta) v0``; ``M (v1 - v0) = h f(q_m) + H^T r``; ``q1 = q_m + h theta v1``; the impulses r by
-    Gauss-Seidel from those of the last step (Jean, Comput. Methods Appl. Mech. Engrg. 177 (1999) 235). A gap g is
-    closed within the step, ``0 <= u_n + g / (theta h)``; with restitution e a closed contact obeys
-    ``0 <= u_n + e u_n0``. The friction cone is neither faceted nor made convex. What penetrates all the same, by the
-    curvature of paths or in the step of an impact, is pushed out by a displacement that no velocity comes from.
+    ``q_m = q0 + h (1 - theta) v0``; ``M (v1 - v0) = h f(q_m) + H^T r``; ``q1 = q_m + h theta v1`` (Jean, Comput.
+    Methods Appl. Mech. Engrg. 177 (1999) 235); kn and ks are ignored. A gap g is closed within the step,
+    ``0 <= u_n + g / (theta h)``; with restitution e a closed contact obeys ``0 <= u_n + e u_n0``. The friction cone is
+    neither faceted nor made convex. All impulses r together are found by Newton's method on proximal problems, from
+    those of the last step. What penetrates all the same, by the curvature of paths or in the step of an impact, is
+    pushed out by a displacement that no velocity comes from.
     """
 
     dt: float
@@ -59,6 +71,7 @@ class ContactDynamics:
     sweeps: int = field(default=0, init=False, repr=False)
     residual: float = field(default=0.0, init=False, repr=False)
     penetration: float = field(default=0.0, init=False, repr=False)
+    accepted: Any = field(default_factory=lambda: deque(maxlen=KEPT), init=False, repr=False)
 
     def __post_init__(self) -> None:
         _number("ContactDynamics", "dt", self.dt, np.finfo(float).tiny)
@@ -92,11 +105,33 @@ class ContactDynamics:
         """Whether nothing moves faster than `share` of the largest relative velocity without contact of the last step.
 
         From rest one step shows it: what cannot stand has the velocity that its acceleration gives in the step.
+
+        Parameters
+        ----------
+        share : float
+            Part of that velocity.
         """
         return self._hard.largest_speed() <= share * self._given
 
+    @property
+    def notes(self) -> list[str]:
+        """What a report says about the last step."""
+        return [
+            f"{self.iterations} iterations, {self.sweeps} sweeps, residual {self.residual:.2g}, "
+            f"penetration {self.penetration:.2g} m in the last step"
+        ]
+
     def step(self, system: Any, dt: float) -> None:
-        """Advance by `dt` [s]."""
+        """Advance by `dt` [s]; all is as before if that fails."""
+        before = self._hard.snapshot()
+        try:
+            self._advance(system, dt)
+        except ConvergenceError:
+            self._hard.back_to(before)
+            raise
+        self.accepted.append((self.residual, dt * self._hard.largest_speed()))
+
+    def _advance(self, system: Any, dt: float) -> None:
         h, theta, state = dt, self.theta, system.state
         hard = self._hard
         hard.commit_loads()

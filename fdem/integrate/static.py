@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from fdem.errors import ConvergenceError, OverlapError
-from fdem.integrate.implicit import RECUTS, _number, told
+from fdem.integrate.implicit import KEPT, RECUTS, _number, settled, told
 from fdem.integrate.linear import LinearSolver
-from fdem.integrate.matrices import Assembler
 from fdem.integrate.trial import Trial
 
 __all__ = ["Static"]
@@ -58,10 +58,13 @@ class Static:
     steps: int = field(default=1, kw_only=True)
     max_iterations: int = field(default=60, kw_only=True)
     solver: str = field(default="auto", kw_only=True)
-    scaled: bool = field(default=False, init=False, repr=False)
+    scaled: bool = field(default=True, init=False, repr=False)  # velocities mean nothing
     static: bool = field(default=True, init=False, repr=False)
+    implicit: bool = field(default=True, init=False, repr=False)
     history: list[float] = field(default_factory=list, init=False, repr=False)
     iterations: int = field(default=0, init=False, repr=False)
+    accepted: Any = field(default_factory=lambda: deque(maxlen=KEPT), init=False, repr=False)
+    notes: list[str] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
         _number("Static", "tolerance", self.tolerance, 1e-15, 0.1)
@@ -74,11 +77,14 @@ class Static:
         system.state.v[:] = 0.0
         system.lag = 0.0
         system.fictitious = True
-        self.assembler, self.trial = Assembler(system), Trial(system)
-        self.trial.mass = self.assembler.mass()
+        self.trial = Trial(system)
         self.step_length = 1.0
         self._inertia = self.trial.reference_stiffness()
         system.stale = False
+
+    def take_turns(self) -> list[Any]:
+        """Rotation vectors since last asked, of the batches that turn."""
+        return self.trial.take_turns()
 
     def refresh(self, system: Any) -> None:
         """Find the reference stiffness again after contacts have changed."""
@@ -92,7 +98,7 @@ class Static:
     def step(self, system: Any, dt: float) -> None:
         """Find the equilibrium under the loads at the end of the step."""
         left, part = 1.0, 1.0 / self.steps
-        start, t = self.trial.unbalanced(), system.state.t
+        start, t = self._unbalanced(0.0), system.state.t
         while left > 1e-9:
             part = min(part, left)
             if self._attempt(system, start, t + dt * (1.0 - left + part), left, part):
@@ -103,59 +109,67 @@ class Static:
             if part < 0.5**HALVINGS / self.steps:
                 raise ConvergenceError(
                     f"no equilibrium found: {1.0 - left:.0%} of the load step were in balance; the last residuals are "
-                    f"{told(self.history)} of the largest force, worst is {self.trial.worst_block()}"
+                    f"{told(self.history)} of the largest force, {self._culprit}"
                 )
         system.state.step += 1
 
     def _attempt(self, system: Any, start: Array, t: float, left: float, part: float) -> bool:
         """One load step; everything as before if it does not converge."""
-        system.forces()
-        system.commit()
         trial = self.trial
-        before = trial.snapshot()
-        d = np.zeros_like(system.state.v)
-        trial.prescribe_increment(d, t - system.state.t, part / left)
+        trial.begin()
+        d, h = np.zeros_like(system.state.v), t - system.state.t
+        trial.prescribe(d, h, part / left)
         try:
-            trial.displace(before, d, t - system.state.t)
+            trial.displace(d, h)
             if self._iterate((left - part) * start):
+                self.accepted.append((self.history[-1], trial.accept()))
                 return True
         except OverlapError:
             if part <= 2.0 * 0.5**HALVINGS / self.steps:
                 raise
-        trial.back_to(before)
+        trial.back()
         return False
+
+    def _unbalanced(self, rest: Any) -> Array:
+        """Forces of the trial that nothing holds, less `rest`."""
+        return self.trial.released(self.trial.plain_forces()) - rest
 
     def _iterate(self, rest: Array) -> bool:
         """Iterate until the unbalanced force is `rest`."""
-        trial, recuts, trust, self.history = self.trial, 0, TRUST, []
-        r = trial.unbalanced() - rest
+        from scipy.sparse import diags
+
+        trial, recuts, trust, floor, self.history = self.trial, 0, TRUST, 0.0, []
+        r = self._unbalanced(rest)
         ratio = trial.residual_ratio(r, None)
         for iteration in range(self.max_iterations):
             self.history.append(ratio)
             if not np.isfinite(ratio):
-                return False
-            if ratio <= self.tolerance:
+                break
+            if settled(self.history, self.tolerance, floor):
                 if recuts < RECUTS and trial.find_contacts():
                     recuts += 1
-                    r = trial.unbalanced() - rest
+                    r = self._unbalanced(rest)
                     ratio = trial.residual_ratio(r, None)
                     continue
                 self.iterations = iteration
                 return True
-            A = self.assembler.effective(self._inertia * LOOSE + self.assembler.joints(), 1.0 / trust, 0.0, 0.0)
-            change = self.linear.solve(A, r, self.assembler.groups, self.assembler.modes(), True)
+            held = (diags(self._inertia * LOOSE) + trial.assembler.joints()) / trust
+            A = trial.assembler.effective(0.0, 0.0, 0.0, held)
+            floor = trial.round_off(None)
+            change = self.linear.solve(A, r, trial.assembler, static=True)
             change *= min(1.0, MOTION / max(trial.relative_motion(change), 1e-300))
             trial.displace_further(change)
             trial.find_contacts()
-            r, before = trial.unbalanced() - rest, ratio
+            r, before = self._unbalanced(rest), ratio
             ratio = trial.residual_ratio(r, None)
             for _ in range(SHORTENINGS):
                 if ratio <= CLIMB * before:
                     break
                 change *= 0.5
                 trial.displace_further(-change)
-                r = trial.unbalanced() - rest
+                r = self._unbalanced(rest)
                 ratio = trial.residual_ratio(r, None)
             trust *= max(GROWTH, before / max(ratio, 1e-300)) if ratio <= before else 1.0 / GROWTH
             trust = min(trust, 1e16)
+        self._culprit = trial.worst(r)
         return False

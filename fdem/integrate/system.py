@@ -59,6 +59,8 @@ class System(Pace):
         self.mean_contact: np.ndarray | None = None  # forces of hard contact over the last step, in place of springs
         self.mean_moment: np.ndarray | None = None  # and moments on spheres
         self.hard_table: Callable[[], dict[str, Any]] | None = None
+        self.a_old: np.ndarray | None = None  # acceleration that implicit steps go on from
+        self.given: np.ndarray | None = None  # prescribed increments of the last implicit step
         self.work = 0.0
         self.damped = 0.0
         self.scaled: list[Any] = [None] * len(model.batches)
@@ -190,6 +192,13 @@ class System(Pace):
         if self._keeps_old:
             self.state.x_old[:] = self.state.x
 
+    def keep_motion(self, d: np.ndarray) -> None:
+        """Take note of the increment `d` (n_dofs,) of an implicit step, for the work of moments and reactions."""
+        if self._spun is not None:
+            self._spun[:] = d
+        if self._reaction_old is not None:
+            self.given = self.constraints.given(d)
+
     def harden(self) -> None:
         """Leave the forces of penalty contacts out; mean forces over the last step take their place."""
         self.mean_contact, self.mean_moment = np.zeros_like(self.state.f_gp), np.zeros_like(self.state.f)
@@ -212,8 +221,8 @@ class System(Pace):
         if self._turning_old is not None and self.state.step > 0:
             work += 0.5 * float((self._turning_old + self._turning) @ self._spun)
         if self._reaction_old is not None and self.state.step > 0:
-            given = self.constraints.given(self.state.v)
-            work -= 0.5 * self.dt * float((self._reaction_old + self.state.f) @ given)
+            given = self.dt * self.constraints.given(self.state.v) if self.given is None else self.given
+            work -= 0.5 * float((self._reaction_old + self.state.f) @ given)
         return work
 
     def advance(self, dt: float) -> None:

@@ -40,7 +40,9 @@ class Joint:
     - ``needs``: of "bonds" (it carries tension, memory 3 tells whether the bond holds), "dilation" (memory 5 lifts the
       faces), "damping" (it reads ``mass``), "arms" (it reads ``arm``);
     - ``closure``, only if pressure is not ``kn depth``: a kernel that tells pressure, tangent stiffness and energy, and
-      the property ``reach`` [m], over which closure changes the stiffness. The stable step follows the tangent.
+      the property ``reach`` [m], over which closure changes the stiffness. The stable step follows the tangent;
+    - ``smooth = True``, if differences of the tractions over small changes of depth and slip are their derivatives but
+      for kinks: implicit integrators ask for it.
 
     and has the method ``properties(kn, ks)``. See ``examples/user_law.py``.
     """
@@ -53,6 +55,7 @@ class Joint:
     memory: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[frozenset[str] | set[str]] = frozenset()
     for_faces: ClassVar[bool] = True
+    smooth: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
@@ -74,6 +77,11 @@ class Joint:
 
     def weakened(self, factor: float) -> Joint:
         """The law with its strength over `factor`, for `strength_reduction`.
+
+        Parameters
+        ----------
+        factor : float
+            Divides cohesion, tension and tangents of friction.
 
         Raises
         ------
@@ -193,14 +201,8 @@ class Coulomb(Joint):
         if self.rolling > 0.0 or self.twisting > 0.0 or self.dilation > 0.0:
             return None
         residual = self.friction if self.residual_friction is None else self.residual_friction
-        return (
-            _tan(self.friction),
-            float(self.cohesion),
-            float(self.tension),
-            float(self.restitution or 0.0),
-            _tan(residual),
-            float(self.residual_cohesion),
-        )
+        whole = _tan(self.friction), float(self.cohesion), float(self.tension), float(self.restitution or 0.0)
+        return *whole, _tan(residual), float(self.residual_cohesion)
 
     def weakened(self, factor: float) -> Coulomb:
         """Cohesion, tension and tangents of friction over `factor`, residual ones too."""
