@@ -88,8 +88,8 @@ class ContactDynamics:
         self.assembler = Assembler(system)
         self.step_length = self.dt
         self._points: Any = None
-        self._given = 0.0  # largest relative velocity without contact in the last step [m/s]
         self._impulses = np.zeros((0, 3))
+        self._given = 0.0  # largest relative velocity without contact in the last step [m/s]
         self.solver = self._hard.solver(self.tolerance, int(self.max_iterations))
         system.stale = False
 
@@ -195,7 +195,7 @@ class ContactDynamics:
     def _warm(self, points: Any) -> Array:
         """Impulses to start from: those of the last step at the same places."""
         impulses = np.zeros((len(points), 3))
-        if self._points is not None and len(self._points) and len(self._impulses):
+        if self._points is not None:
             at = points.matched(self._points)
             known = at >= 0
             world = np.einsum("nij,ni->nj", self._points.frame[at[known]], self._impulses[at[known]])
