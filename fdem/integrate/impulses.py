@@ -171,4 +171,22 @@ class Impulses:
         lost[1] -= float((impulses[:, 0] * mean[:, 0]).sum())
         if points.law[:, 1:3].any():
             hard.wear(system.contacts, points, impulses / h, after, problem.speed)
-        system.hard_table = partial(hard.table, points, impulses / h, np.hypot(after[:, 1], after[:, 2]))
+        self._tell(points, impulses / h, np.hypot(after[:, 1], after[:, 2]))
+
+    def _tell(self, points: Any, force: Array, sliding: Array) -> None:
+        self._force, self._sliding = force, sliding
+        self.system.hard_table = partial(hard.table, points, force, sliding)
+
+    def kept(self, points: Any) -> dict[str, Array]:
+        """Arrays of the points and forces of the last step, for `restore`."""
+        system = self.system
+        own = {"force": self._force, "sliding": self._sliding, "moment": system.mean_moment}
+        return {f"point_{name}": value for name, value in vars(points).items()} | own | {"contact": system.mean_contact}
+
+    def restore(self, arrays: dict[str, Array]) -> Any:
+        """Points of the step that was saved."""
+        head = "point_"
+        points = hard.Points(**{key[len(head) :]: value for key, value in arrays.items() if key.startswith(head)})
+        self.system.mean_contact[:], self.system.mean_moment[:] = arrays["contact"], arrays["moment"]
+        self._tell(points, arrays["force"], arrays["sliding"])
+        return points

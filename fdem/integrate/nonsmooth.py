@@ -113,6 +113,26 @@ class ContactDynamics:
         """
         return self._hard.largest_speed() <= share * self._given
 
+    def kept(self) -> dict[str, Array]:
+        """Arrays that influence the next step, for a saved state: what the last step found."""
+        if self._points is None:
+            return {}
+        last = np.array([self.iterations, self._given])
+        return self._hard.kept(self._points) | {"impulses": self._impulses, "last": last}
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Go on from what `kept` gave.
+
+        Parameters
+        ----------
+        arrays : dict of arrays
+            Empty if another integrator wrote the state.
+        """
+        if arrays:
+            self._points, self._impulses = self._hard.restore(arrays), arrays["impulses"]
+            self.iterations, self._given = int(arrays["last"][0]), float(arrays["last"][1])
+            self.solver.iterations = self.iterations
+
     @property
     def notes(self) -> list[str]:
         """What a report says about the last step."""

@@ -504,3 +504,21 @@ def test_not_converged_is_said():
     with pytest.raises(fdem.UnsupportedError, match="hard"):
         scene.joint(fdem.Coulomb(friction=20, rolling=0.1, kn=1e9, ks=1e9))
         simulate(scene, 1e-2).cycle(1)
+
+
+def test_saved_state_goes_on_bit_for_bit(tmp_path):
+    """Impulses are saved: a block that turns over its edge, forces told at once."""
+
+    def scene():
+        return slope(45.0, 35.0, (1.0, 1.0, 2.5))[0]
+
+    whole = simulate(scene(), 1e-2)
+    whole.cycle(40)
+    half = simulate(scene(), 1e-2)
+    half.cycle(20)
+    half.save(tmp_path / "half.npz")
+    on = fdem.load(tmp_path / "half.npz", scene(), fdem.ContactDynamics(dt=1e-2))
+    assert (on.pair_force("base", "block") == half.pair_force("base", "block")).all()
+    on.cycle(20)
+    assert (on.state.q == whole.state.q).all() and (on.state.v == whole.state.v).all()
+    assert np.abs(whole["block"].rotation_vector[1]) > 1e-3
