@@ -123,10 +123,10 @@ class Impulses:
             batch.push(self.state.q, self.state.v, speed)
         return float(np.sqrt(np.einsum("ni,ni->n", speed, speed).max(initial=0.0)))
 
-    def push_out(self, problem: Any, gap: Array, size: Array) -> None:
+    def push_out(self, problem: Any, gap: Array, size: Array, f: Array) -> None:
         """Move blocks apart where gaps (n,) [m] are negative, by least displacements, `OUT` of the sizes (n,) at most.
 
-        What it does against the other forces comes off the dissipation: blocks went too deep before.
+        What it does against the other forces `f` comes off the dissipation: blocks went too deep before.
         """
         system, none = self.system, np.zeros(len(gap))
         apart = replace(
@@ -134,12 +134,14 @@ class Impulses:
             tension=none,
         )  # fmt: skip
         _, d, _ = hard.Solver(ROUGH, MOST).solve(apart, np.zeros((len(gap), 3)))
-        forces = system.forces().copy()
-        for batch in self.model.batches:
-            batch.shift(self.state.q, d)
-            batch.place(self.state.q, self.state.x)
+        q, v, batches = self.state.q, self.state.v, self.model.batches
+        gained = -sum(batch.kinetic(q, v) for batch in batches)  # where inertia turns against what spins
+        for batch in batches:
+            batch.shift(q, d)
+            batch.place(q, self.state.x)
         system.current = False
-        self._lost()[1] += float(forces @ d)
+        gained += sum(batch.kinetic(q, v) for batch in batches)
+        self._lost()[1] += float(f @ d) - gained
 
     def _lost(self) -> Array:
         """Work of friction and of normal impulses [J], where the tables look for it."""

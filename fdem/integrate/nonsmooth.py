@@ -155,8 +155,8 @@ class ContactDynamics:
         h, theta, state = dt, self.theta, system.state
         hard = self._hard
         hard.commit_loads()
-        before = state.v.copy()
         hard.drift((1.0 - theta) * h)
+        before = state.v.copy()
         mass = self.assembler.mass()
         f = hard.soft_forces(mass)
         mobility = hard.mobility(self.assembler, mass, h * theta)
@@ -175,7 +175,7 @@ class ContactDynamics:
             # what bounces moves apart by itself
             deep = np.where(problem.bias < 0.0, 0.0, points.gap)
             if (deep < -DEEP * points.size).any():
-                hard.push_out(problem, deep, points.size)
+                hard.push_out(problem, deep, points.size, f)
         self._points, self._impulses = points, impulses
         hard.keep(points, impulses, before, problem, h)
         hard.drift(theta * h)
