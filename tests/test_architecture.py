@@ -58,7 +58,7 @@ LAZY = {
     "scene": {"scipy", "gmsh", "meshio", "skfem", "pyvista", "vtkmodules", "manifold3d"},
     "blocks": {"scipy", "skfem"},
     "contact": {"scipy"},
-    "integrate": {"scipy", "pyamg"},
+    "integrate": {"scipy", "pyamg", "sksparse", "pypardiso"},
     "results": {"scipy", "pyvista", "vtkmodules", "h5py", "matplotlib"},
     "compile": {"scipy"},
     "simulation": {"scipy", "pyvista", "numpy"},
