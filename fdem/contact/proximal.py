@@ -51,6 +51,12 @@ class Rows:
     def __iter__(self) -> Iterator[Any]:
         return iter((self.start, self.dof, self.J))
 
+    def onto(self, r: Array, n: int) -> Array:
+        """``J^T r`` (n,) for forces or impulses `r` (n_points, 3)."""
+        f = np.zeros(n)
+        cones.add_impulses(*self, r, f)
+        return f
+
     def times(self, v: Array, bias: Array | None = None) -> Array:
         """``J v`` (n, 3) [m/s], `bias` (n,) added to its normal part."""
         n = len(self.start) - 1
@@ -110,9 +116,7 @@ class Problem:
 
     def push(self, r: Array) -> Array:
         """``J^T r`` (n_dofs,) on what is free."""
-        f = np.zeros(len(self.free))
-        cones.add_impulses(*self.free_rows, r, f)
-        return f
+        return self.free_rows.onto(r, len(self.free))
 
     def relative(self, v: Array) -> Array:
         """Relative velocities (n, 3), bias included."""

@@ -177,7 +177,7 @@ class ContactDynamics:
             if (deep < -DEEP * points.size).any():
                 hard.push_out(problem, deep, points.size, f)
         self._points, self._impulses = points, impulses
-        hard.keep(points, impulses, before, problem, h)
+        hard.keep(points, impulses, before, problem, f, h)
         hard.drift(theta * h)
         state.step += 1
 
