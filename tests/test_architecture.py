@@ -49,6 +49,7 @@ ARROWS = {
     "description": BASE | {"model", "state", "contact"},
     "views": BASE | {"model", "state", "results"},
     "checkpoint": BASE | {"model", "state", "contact", "scene"},
+    "strength": BASE | {"scene", "integrate", "simulation"},
     "simulation": BASE | NUMERIC | {"scene", "compile", "integrate", "results"} | FRONT,
 }
 # third-party packages a part may import inside functions; numpy may be imported at the top anywhere
@@ -63,7 +64,7 @@ LAZY = {
     "simulation": {"scipy", "pyvista", "numpy"},
 }
 FORBIDDEN = ("print", "exit", "quit", "sys.exit", "os._exit", "np.random.seed", "breakpoint")
-SYSTEM = {"system", "pace", "trial", "impulses", "matrices"}
+SYSTEM = {"system", "pace", "trial", "impulses", "matrices", "mobility"}
 HEAVY = ("numba", "scipy", "skfem", "gmsh", "meshio", "pyvista", "vtkmodules", "matplotlib", "h5py", "pyamg")
 
 
