@@ -34,6 +34,7 @@ bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python benchmarks/contact.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/bodies.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/jointed.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/spheres.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/wall.py
 
 docs: $(STAMP)

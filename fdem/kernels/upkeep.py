@@ -12,9 +12,9 @@ FLAT, AJAR = 16, 64  # bits of a patch's flags, see kernels/patches.py
 
 
 @kernel
-def moved(surface_gp, surface_start, x, x_check, tolerance):
-    """Whether some block's surface moved more than its tolerance (n_blocks,) [m] since `x_check`."""
-    for b in range(len(tolerance)):
+def moved(movers, surface_gp, surface_start, x, x_check, tolerance):
+    """Whether the surface of a block of `movers` moved more than its tolerance (n_blocks,) [m] since `x_check`."""
+    for b in movers:
         t = tolerance[b] * tolerance[b]
         for j in range(surface_start[b], surface_start[b + 1]):
             g = surface_gp[j]
@@ -25,9 +25,9 @@ def moved(surface_gp, surface_start, x, x_check, tolerance):
 
 
 @kernel
-def block_motion(surface_gp, surface_start, x, x_ref, out):
-    """Largest displacement of a surface gridpoint of every block since `x_ref` [m]."""
-    for b in range(len(out)):
+def block_motion(movers, surface_gp, surface_start, x, x_ref, out):
+    """Largest displacement [m] of a surface gridpoint since `x_ref`, of the blocks `movers`; others are not written."""
+    for b in movers:
         far = 0.0
         for j in range(surface_start[b], surface_start[b + 1]):
             g = surface_gp[j]

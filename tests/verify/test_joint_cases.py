@@ -22,12 +22,12 @@ B, H, DENSITY = 1.0, 2.0, 2000.0
 WEIGHT = DENSITY * B * H * G  # per metre of depth
 
 
-def tilted(degrees, phi, settlement, damping=0.0):
+def tilted(degrees, phi, settlement, damping=0.0, body=None):
     """A block of 1 x 1 x 2 m on a slope; gravity is tilted. Upright it would settle by `settlement` [m]."""
     a, kn = np.radians(degrees), WEIGHT / (B * settlement)
     scene = fdem.Scene(gravity=G * np.array([np.sin(a), 0, -np.cos(a)]))
     scene.add(fdem.brick((-5, -2, -1), (8, 3, 0)), fdem.Rigid(), fixed=True, name="slope")
-    scene.add(fdem.brick((0, 0, 0), (B, 1, H)), fdem.Rigid(), fdem.Elastic(DENSITY), name="block")
+    scene.add(fdem.brick((0, 0, 0), (B, 1, H)), body or fdem.Rigid(), fdem.Elastic(DENSITY, 1e11, 0.2), name="block")
     scene.joint(fdem.Coulomb(kn=kn, ks=kn, friction=phi, damping=damping))
     return scene
 
@@ -63,13 +63,25 @@ def outcome(sim):
     return {"equilibrium": "stable", "collapse": "slide"}[report.reason]
 
 
-@pytest.mark.parametrize("settlement", [1e-4, 1e-5, pytest.param(1e-7, marks=pytest.mark.long)])
-def test_toppling_threshold(settlement):
+@pytest.mark.parametrize(
+    ("body", "settlement"),
+    [
+        (fdem.Rigid(), 1e-4),
+        (fdem.Rigid(), 1e-5),
+        pytest.param(fdem.Rigid(), 1e-7, marks=pytest.mark.long),
+        (fdem.UniformStrain(), 1e-4),
+        pytest.param(fdem.LinearStrain(), 1e-4, marks=pytest.mark.long),
+        pytest.param(fdem.Zoned(mass="inertia-matched"), 1e-4, marks=pytest.mark.long),
+    ],
+)
+def test_toppling_threshold(body, settlement):
     """Critical tilt within 0.1 degree of the elastic base's: 23.97, 25.38, 26.31 against atan(b/h) = 26.57 degrees."""
     critical = winkler_tilt(settlement)
     assert np.degrees(np.arctan(B / H)) - 600 * settlement ** (1 / 3) < critical < np.degrees(np.arctan(B / H))
     for away, expected in ((-0.1, "stable"), (0.1, "topple")):
-        sim = fdem.Simulation(tilted(critical + away, 45, settlement), fdem.Relaxation(), progress=False, energy=False)
+        sim = fdem.Simulation(
+            tilted(critical + away, 45, settlement, body=body), fdem.Relaxation(), progress=False, energy=False
+        )
         assert outcome(sim) == expected
 
 
