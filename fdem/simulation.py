@@ -38,7 +38,7 @@ class Simulation(Readout):
     ----------
     scene : Scene
         What to simulate.
-    integrator : Explicit or Relaxation
+    integrator : Explicit, Relaxation, Newmark, GeneralizedAlpha, Static or ContactDynamics
         How.
     start : Simulation or path, optional
         Another simulation (or a saved file) whose state goes over by block name. Fictitious time and
@@ -397,7 +397,7 @@ def load(path: str | Path, scene: Scene, integrator: Any, **options: Any) -> Sim
         What `Simulation.save` wrote.
     scene : Scene
         The same scene, built again.
-    integrator : Explicit or Relaxation
+    integrator : Explicit, Relaxation, ...
         The same integrator.
     **options
         As of `Simulation`.

@@ -193,12 +193,17 @@ class System(Pace):
         if self._keeps_old:
             self.state.x_old[: self._moving] = self.state.x[: self._moving]
 
-    def keep_motion(self, d: np.ndarray) -> None:
-        """Take note of the increment `d` (n_dofs,) of an implicit step, for the work of moments and reactions."""
+    def keep_motion(self, d: np.ndarray, mean: np.ndarray | None = None) -> None:
+        """Take note of the increment `d` (n_dofs,) of a step, for the work of moments and reactions.
+
+        `mean` are the forces over the step (n_dofs,) [N, N m] where they are known; else those at its ends count.
+        """
         if self._spun is not None:
             self._spun[:] = d
         if self._reaction_old is not None:
             self.given = self.constraints.given(d)
+            if mean is not None:
+                self._reaction_old[:] = mean
 
     def harden(self) -> None:
         """Leave the forces of penalty contacts out; mean forces over the last step take their place."""
@@ -211,6 +216,8 @@ class System(Pace):
         self.work += self.pending_work()
         if self._load_old is not None:
             self._load_old[:] = self.f_load
+        if self._turning_old is not None:
+            self._turning_old[:] = self._turning
         self.state.x_old[:] = self.state.x
 
     def pending_work(self) -> float:

@@ -160,6 +160,9 @@ class Trial:
         end = d / h
         for motion in self.constraints.motions:
             end[motion.dofs] = self.constraints.velocity(motion, self.state.t)
+        for group in self.constraints.coupled:
+            if group.moving and not any(condition.displacement for condition in group.conditions):
+                group.prescribe(end, self.state.q, self.system.q0, self.state.t, h)
         return end
 
     # how far from balance

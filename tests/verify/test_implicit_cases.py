@@ -185,3 +185,33 @@ def test_a_step_that_cannot_be_taken_says_why():
     with pytest.raises(fdem.ConvergenceError, match=r"residuals .*worst is block 'block', its largest contact"):
         sim.cycle(1)
     assert np.array_equal(sim.state.x, before)
+
+
+BODIES = {
+    "rigid": fdem.Rigid(),
+    "uniform": fdem.UniformStrain(),
+    "linear": fdem.LinearStrain(),
+    "zoned": fdem.Zoned(size=0.7),
+}
+
+
+@pytest.mark.parametrize("rule", [fdem.Newmark(dt=1e-3), fdem.GeneralizedAlpha(dt=1e-3)], ids=["newmark", "alpha"])
+@pytest.mark.parametrize("body", BODIES)
+def test_driven_block(body, rule):
+    """A block shaken by v = V sin(w t) under another that slips on it: path, velocity, and the work of the drive."""
+    scene, w, speed, end = fdem.Scene(), 20.0, 0.1, 0.2
+    stone = fdem.Elastic(density=2000, young=1e9, poisson=0.2)
+    scene.add(fdem.brick((-1, -1, -1), (3, 2, 0)), fdem.Rigid(), fixed=True, name="base")
+    low = scene.add(fdem.brick((0, 0, 0), (1, 1, 0.5)), BODIES[body], stone, name="low")
+    scene.add(fdem.brick((0, 0, 0.5), (1, 1, 1)), fdem.Rigid(), stone, name="top")
+    scene.joint(fdem.Coulomb(kn=1e9, ks=5e8, friction=30))
+    rest = fdem.Simulation(scene, fdem.Static())
+    assert rest.solve().converged
+    scene.apply(fdem.Velocity((speed, None, None)), low, factor=lambda t: np.sin(w * t))
+    sim = fdem.Simulation(scene, rule, start=rest)
+    sim.run(time=end)
+    # midpoint rule: (w dt)^2 / 24
+    assert sim["low"].displacement[0] == pytest.approx(speed / w * (1 - np.cos(w * end)), rel=1e-4)
+    assert sim["low"].velocity[0] == pytest.approx(speed * np.sin(w * end), rel=1e-9)
+    assert sim.energy.work > 0 and sim.energy.friction > 0.9 * sim.energy.work
+    assert sim.energy.closure < 1e-3
