@@ -1,0 +1,5 @@
+"""Problems with answers in closed form; a new one is one more entry of `PROBLEMS`."""
+
+from .blocks import BLOCKS
+
+PROBLEMS = {problem.name: problem for problem in BLOCKS}
