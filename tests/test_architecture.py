@@ -63,7 +63,7 @@ LAZY = {
     "simulation": {"scipy", "pyvista", "numpy"},
 }
 FORBIDDEN = ("print", "exit", "quit", "sys.exit", "os._exit", "np.random.seed", "breakpoint")
-SYSTEM = {"system", "pace", "trial", "impulses", "matrices"}
+SYSTEM = {"system", "pace", "trial", "impulses", "matrices", "mobility"}
 HEAVY = ("numba", "scipy", "skfem", "gmsh", "meshio", "pyvista", "vtkmodules", "matplotlib", "h5py", "pyamg")
 
 
