@@ -108,7 +108,7 @@ class Simulation(Readout):
     def _make_system(self, compiled: Compiled) -> None:
         self.model, self.state, self.drags = compiled.model, compiled.state, compiled.drags
         self._turning = [_run(batch.rows) for batch in compiled.model.batches if batch.turns]
-        self._turns = self.integrator.take_turns if getattr(self.integrator, "implicit", False) else self._advanced
+        self._turns = getattr(self.integrator, "take_turns", self._advanced)
         loads = compiled.loads + [Release(None, gp, forces, at, over) for gp, forces, at, over in self._releases]
         self.system = System(
             compiled.model,

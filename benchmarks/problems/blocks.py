@@ -201,7 +201,7 @@ STACK = Problem(
     [
         *grid([RIGID, UNIFORM, ZONED], [LOCAL, ADAPTIVE], ratio=[1e-2, 1e-3, 1e-4, 1e-6]),
         *grid([RIGID, UNIFORM, LINEAR, ZONED], STATIC, ratio=[1e-4, 1e-8]),
-        *grid([RIGID, UNIFORM], HARD, dt=[1e-2, 1e-3]),
+        *grid(RIGID, HARD, dt=[1e-2]),
     ],
     [*grid(LINEAR, [LOCAL, ADAPTIVE], ratio=[1e-2, 1e-3, 1e-4]), *grid(ZONED, STATIC, ratio=[1e-8], size=[0.5, 0.35])],
     {"body": [ZONED, UNIFORM, RIGID], "integrator": [LOCAL, ADAPTIVE, STATIC], "ratio": 1e-2},
@@ -209,14 +209,14 @@ STACK = Problem(
 
 # ---------------------------------------------------------------------------------------------- block on a spring
 
-D_YOUNG, D_DENSITY, D_KN, D_TIME = 1e9, 2500.0, 1e9, 0.02
+D_YOUNG, D_DENSITY, D_KN, D_TIME = 1e9, 2500.0, 1e9, 0.004
 
 
 def dda_exact() -> float:
     """Fall of the centroid after `D_TIME` of sudden gravity: the two modes of translation and strain in closed form."""
     k, m = D_KN, D_DENSITY
     stiffness = np.array([[k, -k / 2], [-k / 2, k / 4 + D_YOUNG]])
-    w2, modes = np.linalg.eigh(np.diag([m, m / 12]) ** 0.5 * 0 + _scaled(stiffness, m))
+    w2, modes = np.linalg.eigh(_scaled(stiffness, m))
     root = np.sqrt([m, m / 12])
     force = modes.T @ (np.array([-m * G, 0.0]) / root)
     return float((modes @ (force / w2 * (1 - np.cos(np.sqrt(w2) * D_TIME))) / root)[0])
@@ -245,7 +245,7 @@ def dda(s: Settings) -> Solve:
 SPRING = Problem(
     "spring",
     "Uniform-strain block on a joint (DDA)",
-    "fall of the centroid after 20 ms [m]",
+    "fall of the centroid after 4 ms [m]",
     dda_exact(),
     dda,
     [

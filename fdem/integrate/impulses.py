@@ -27,6 +27,13 @@ class Impulses:
     def __init__(self, system: Any) -> None:
         self.system, self.model, self.state = system, system.model, system.state
         system.harden()
+        self._turners = [batch for batch in self.model.batches if batch.turns]
+        self.turned = [np.zeros((len(batch.rows), 3)) for batch in self._turners]
+
+    def take_turns(self) -> list[Any]:
+        """Rotation vectors since last asked, of the batches that turn."""
+        result, self.turned = self.turned, [np.zeros_like(turned) for turned in self.turned]
+        return result
         system.hard_table = hard.table(hard.NONE, np.zeros((0, 3)), np.zeros(0))
 
     def commit_loads(self) -> None:
@@ -40,6 +47,8 @@ class Impulses:
         for batch in self.model.batches:
             batch.advance(state.q, state.v, h)
             batch.place(state.q, state.x)
+        for batch, turned in zip(self._turners, self.turned, strict=True):
+            turned += batch.turn(state.q, state.v, h)
         state.t += h
         system.dt = h
         system.current = False
