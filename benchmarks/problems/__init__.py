@@ -1,5 +1,6 @@
 """Problems with answers in closed form; a new one is one more entry of `PROBLEMS`."""
 
 from .blocks import BLOCKS
+from .solids import SOLIDS
 
-PROBLEMS = {problem.name: problem for problem in BLOCKS}
+PROBLEMS = {problem.name: problem for problem in [*BLOCKS, *SOLIDS]}

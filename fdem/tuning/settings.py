@@ -40,7 +40,7 @@ class Settings:
 
     @classmethod
     def of(cls, body: Any, integrator: Any, **numbers: float | None) -> Settings:
-        """Settings whose body and integrator carry the size, step and share given."""
+        """Settings whose body and integrator carry the size, step, share and tolerance given."""
         size, dt, safety = numbers.get("size"), numbers.get("dt"), numbers.get("safety")
         if size is not None and hasattr(body, "size"):
             body = replace(body, size=size)
@@ -48,12 +48,15 @@ class Settings:
             integrator = replace(integrator, dt=dt)
         if safety is not None and hasattr(integrator, "safety"):
             integrator = replace(integrator, safety=safety)
+        ratio = numbers.get("ratio")
+        if ratio is not None and getattr(integrator, "static", False):
+            integrator = replace(integrator, tolerance=ratio)
         return cls(body, integrator, **numbers)
 
     @property
     def kind(self) -> str:
         """Formulation and integrator without the numbers: ``"Zoned(strain='small'), Static"``."""
-        return f"{_told(self.body, ('size',))}, {_told(self.integrator, ('dt', 'safety'))}"
+        return f"{_told(self.body, ('size',))}, {_told(self.integrator, ('dt', 'safety', 'tolerance'))}"
 
     def __str__(self) -> str:
         numbers = [f"{f.name}={getattr(self, f.name):.3g}" for f in fields(self)[2:] if getattr(self, f.name)]
