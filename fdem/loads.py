@@ -217,19 +217,31 @@ class Bedding(Load):
 
 
 class UserLoad(Load):
-    """The user's ``force(t, x, v) -> (n, 3)`` on gridpoints."""
+    """The user's ``force(t, x, v) -> (n, 3)`` on gridpoints, and for implicit methods ``tangent(t, x, v)``."""
 
-    def tangent(self, t: float, x: np.ndarray, cc: float) -> None:
-        """Refuse: the user's forces bring no derivatives.
+    needs_velocity = True
+
+    def tangent(self, t: float, x: np.ndarray, cc: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the user says: minus the derivative (n, 3, 3) of each gridpoint's force by its own position.
+
+        What forces depend on besides is left out; Newton's method then takes more iterations.
 
         Raises
         ------
         UnsupportedError
-            Always.
+            The load has no ``tangent(t, x, v)``.
         """
-        raise UnsupportedError(f"load {self.handle.load!r} has no tangent: implicit integrators cannot use it")
-
-    needs_velocity = True
+        given = getattr(self.handle.load, "tangent", None)
+        if given is None:
+            raise UnsupportedError(
+                f"load {self.handle.load!r} has no tangent(t, x, v): implicit integrators cannot use it"
+            )
+        blocks = np.asarray(given(t, x[self.gp] + self.origin, np.zeros((len(self.gp), 3))), dtype=np.float64)
+        if blocks.shape != (len(self.gp), 3, 3):
+            raise SceneError(
+                f"load {self.handle.load!r}: tangent returned shape {blocks.shape}, expected ({len(self.gp)}, 3, 3)"
+            )
+        return self.gp, self.gp, self.factor(t) * blocks
 
     def __init__(self, handle: Any, gp: np.ndarray, origin: np.ndarray) -> None:
         super().__init__(handle, gp)

@@ -19,6 +19,7 @@ Array = Any
 
 NEAR = 1e-3  # of the smallest block's size: longest motion of the guess, so that what touches is still there
 FAR = 0.25  # of that size: longest motion in a Newton step
+STALLED = 0.3  # of the best residual so far: a residual that falls less than that has come to round-off
 RECUTS = 4  # times the contacts may be found anew within a step
 CLIMB = 2.0  # growth of the residual that a Newton step may bring before it is shortened
 SHORTENINGS = 3  # of a Newton step, by half
@@ -30,6 +31,11 @@ KEPT = 100_000  # accepted steps whose residuals are kept for the report
 def told(history: list[float]) -> str:
     """The last residuals, for messages."""
     return ", ".join(f"{r:.1e}" for r in history[-6:])
+
+
+def settled(history: list[float], tolerance: float, floor: float) -> bool:
+    """Whether the last residual is small enough: as asked for, or at round-off `floor` and no longer falling."""
+    return history[-1] <= tolerance or (history[-1] <= floor and history[-1] > STALLED * min(history[:-1]))
 
 
 def _number(owner: str, name: str, value: Any, low: float, high: float = math.inf) -> None:
@@ -194,13 +200,14 @@ class _Implicit:
         """Newton's method on the increment of the trial."""
         rule, trial, h = self.rule, self.trial, start.h
         cm = (1.0 - rule.alpha_m) / (rule.beta * h * h * (1.0 - rule.alpha_f))
-        recuts, seen, last, share = 0, set(), b"", 1.0
+        recuts, share, floor, last = 0, 1.0, 0.0, b""
+        seen: dict[bytes, float] = {}  # best residual with every set of open, closed and slipping points
         self.history = []
         r, a = self._residual(start)
         for iteration in range(self.max_iterations + 1):
             ratio = trial.residual_ratio(r, a)
             self.history.append(ratio)
-            if ratio <= self.tolerance:
+            if settled(self.history, self.tolerance, floor):
                 if recuts == RECUTS or not trial.find_contacts():
                     self.iterations = iteration
                     trial.refuse_leaps()
@@ -209,10 +216,10 @@ class _Implicit:
                 r, a = self._residual(start)
                 continue
             mark = trial.contact_state()
-            if mark != last and mark in seen:  # a set of open, closed and slipping points that comes back
-                share = max(0.5 * share, SMALLEST)
-            seen.add(mark)
-            last = mark
+            # a set that comes back without gain: Newton's method goes round in circles
+            circling = mark != last and ratio > 0.5 * seen.get(mark, math.inf)
+            share = max(0.5 * share, SMALLEST) if circling else min(2.0 * share, 1.0)
+            seen[mark], last = min(ratio, seen.get(mark, math.inf)), mark
             if iteration == self.max_iterations or not math.isfinite(ratio):
                 break
             try:
@@ -220,6 +227,7 @@ class _Implicit:
                 change = self.linear.solve(A, r / (1.0 - rule.alpha_f), trial.assembler)
             except ConvergenceError:
                 break
+            floor = trial.round_off(a)
             change *= min(share, FAR / max(trial.relative_motion(change), FAR))
             trial.displace_further(change)
             r, a = self._residual(start)

@@ -28,6 +28,7 @@ class Assembler:
         self.groups = [batch.groups() for batch in system.model.batches]
         self._steady = all(batch.steady for batch in system.model.batches)
         self._mass: Any = None
+        self.stiffest = 0.0  # largest stiffness of a gridpoint in the last matrix [N/m]
 
     def mass(self) -> Any:
         """Mass matrix (n, n) at the present trial, scipy CSR."""
@@ -54,6 +55,8 @@ class Assembler:
 
         system, state = self.system, self.system.state
         inner = [batch.tangent(state.q, state.x) for batch in system.model.batches]
+        in_place = [part[2] for part, batch in zip(inner, system.model.batches, strict=True) if batch.in_place]
+        self.stiffest = max((float(np.abs(values).max(initial=0.0)) for values in in_place), default=0.0)
         forces = state.f_gp if system.f_load is None else state.f_gp + system.f_load
         for batch in system.model.batches:
             rows, columns, values = batch.geometric(state.q, forces)
@@ -61,6 +64,7 @@ class Assembler:
         K = coo_matrix(_joined(inner), shape=(self.n, self.n)).tocsr()
         outer = self._at_gridpoints(cc, dt)
         if outer is not None:
+            self.stiffest = max(self.stiffest, float(np.abs(outer.diagonal()[: state.x.size]).max(initial=0.0)))
             P = self.placement(turns=outer.shape[0] > state.x.size)
             K = K + P.T @ outer @ P
         if cm:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fdem.errors import ConvergenceError, OverlapError
-from fdem.integrate.implicit import KEPT, RECUTS, _number, told
+from fdem.integrate.implicit import KEPT, RECUTS, _number, settled, told
 from fdem.integrate.linear import LinearSolver
 from fdem.integrate.trial import Trial
 
@@ -138,14 +138,14 @@ class Static:
         """Iterate until the unbalanced force is `rest`."""
         from scipy.sparse import diags
 
-        trial, recuts, trust, self.history = self.trial, 0, TRUST, []
+        trial, recuts, trust, floor, self.history = self.trial, 0, TRUST, 0.0, []
         r = self._unbalanced(rest)
         ratio = trial.residual_ratio(r, None)
         for iteration in range(self.max_iterations):
             self.history.append(ratio)
             if not np.isfinite(ratio):
                 break
-            if ratio <= self.tolerance:
+            if settled(self.history, self.tolerance, floor):
                 if recuts < RECUTS and trial.find_contacts():
                     recuts += 1
                     r = self._unbalanced(rest)
@@ -155,6 +155,7 @@ class Static:
                 return True
             held = (diags(self._inertia * LOOSE) + trial.assembler.joints()) / trust
             A = trial.assembler.effective(0.0, 0.0, 0.0, held)
+            floor = trial.round_off(None)
             change = self.linear.solve(A, r, trial.assembler, static=True)
             change *= min(1.0, MOTION / max(trial.relative_motion(change), 1e-300))
             trial.displace_further(change)

@@ -15,6 +15,8 @@ __all__ = ["Trial"]
 
 Array = Any
 
+ROUND_OFF = 8 * np.finfo(float).eps  # of the largest coordinate: what positions and the gaps between them end at
+
 
 class Trial:
     """What implicit methods ask of a system: trial configurations, their forces, and how far they are from balance.
@@ -214,6 +216,14 @@ class Trial:
         if a is not None:
             pull = max(pull, _longest(self.pushed(a)))
         return max((b.unbalance(state.q, state.x, r, pushes, pull, None) for b in self.model.batches), default=0.0)
+
+    def round_off(self, a: Array | None) -> float:
+        """Residual ratio that the last bits of positions make of the stiffest gridpoint's force."""
+        force = ROUND_OFF * float(np.abs(self.state.x).max(initial=0.0)) * self.assembler.stiffest
+        r = np.zeros(self.n)
+        for group in self.assembler.groups:
+            r[group[:, :3]] = force / np.sqrt(3.0)
+        return self.residual_ratio(r, a)
 
     def worst(self, r: Array) -> str:
         """Block that the unbalanced forces `r` (n_dofs,) accelerate most, and its largest contact; for messages."""
