@@ -72,7 +72,7 @@ def grid(bodies: Any, integrators: Any, **numbers: Iterable[float]) -> list[Sett
 
 @dataclass
 class Measured:
-    """Times and error of one setting."""
+    """Median times of one setting [s], its error, and what the very first run of its series took."""
 
     setting: Settings
     value: float = float("nan")
@@ -81,32 +81,53 @@ class Measured:
     solve: float = float("nan")
     cpu: float = float("nan")
     wall: float = float("nan")
+    first: float = float("nan")
     failure: str = ""
 
     def row(self) -> dict[str, Any]:
         """For the JSON file."""
         numbers = {knob: getattr(self.setting, knob) for knob in KNOBS if getattr(self.setting, knob) is not None}
-        times = {key: round(getattr(self, key), 6) for key in ("setup", "solve", "cpu", "wall")}
+        times = {key: round(getattr(self, key), 6) for key in ("setup", "solve", "cpu", "wall", "first")}
         kept = {"series": self.setting.kind, **numbers, "value": self.value, "error": self.error, **times}
         return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in kept.items()} | (
             {"failure": self.failure} if self.failure else {}
         )
 
 
-def measure(problem: Problem, setting: Settings, repeats: int) -> Measured:
-    """Median times of `repeats` runs: set-up and solve apart [wall s], and both together in CPU and wall seconds."""
-    result, times = Measured(setting), []
+def measure(problem: Problem, settings: Sequence[Settings], repeats: int) -> list[Measured]:
+    """Median times of `repeats` runs of every setting, taken in turn so that the machine's load falls on all alike.
+
+    The first run of every series is not counted: kernels are loaded in it.
+    """
+    results = [Measured(setting) for setting in settings]
+    first: dict[str, float] = {}
+    for result in results:
+        if result.setting.kind not in first:
+            begin = time.perf_counter()
+            _timed(problem, result)
+            first[result.setting.kind] = time.perf_counter() - begin
+        result.first = first[result.setting.kind]
+    times: list[list[Any]] = [[] for _ in results]
+    for _ in range(repeats):
+        for result, taken in zip(results, times, strict=True):
+            if not result.failure:
+                taken.append(_timed(problem, result))
+    for result, taken in zip(results, times, strict=True):
+        if not result.failure:
+            result.error = problem.error(result.value)
+            result.setup, result.solve, result.cpu, result.wall = (median(x) for x in zip(*taken, strict=True))
+    return results
+
+
+def _timed(problem: Problem, result: Measured) -> tuple[float, float, float, float] | None:
+    """Set-up and solve [wall s], CPU and wall seconds of both; a failure is kept in the result."""
+    wall, cpu = time.perf_counter(), time.process_time()
     try:
-        for _ in range(repeats):
-            wall, cpu = time.perf_counter(), time.process_time()
-            solve = problem.build(setting)
-            between = time.perf_counter()
-            result.value = float(solve())
-            done = time.perf_counter()
-            times.append((between - wall, done - between, time.process_time() - cpu, done - wall))
+        solve = problem.build(result.setting)
+        between = time.perf_counter()
+        result.value = float(solve())
     except fdem.FdemError as error:
         result.failure = f"{type(error).__name__}: {error}"[:200]
-        return result
-    result.error = problem.error(result.value)
-    result.setup, result.solve, result.cpu, result.wall = (median(column) for column in zip(*times, strict=True))
-    return result
+        return None
+    done = time.perf_counter()
+    return between - wall, done - between, time.process_time() - cpu, done - wall

@@ -54,6 +54,11 @@ class Settings:
         return cls(body, integrator, **numbers)
 
     @property
+    def key(self) -> tuple[Any, ...]:
+        """Equal for equal settings."""
+        return self.kind, *(getattr(self, f.name) for f in fields(self)[2:])
+
+    @property
     def kind(self) -> str:
         """Formulation and integrator without the numbers: ``"Zoned(strain='small'), Static"``."""
         return f"{_told(self.body, ('size',))}, {_told(self.integrator, ('dt', 'safety', 'tolerance'))}"
