@@ -21,7 +21,8 @@ PER_SHEET = 6
 BODY = {"Rigid": "tab:gray", "UniformStrain": "tab:blue", "LinearStrain": "tab:green", "Zoned": "tab:red",
         "Zoned(strain='small')": "tab:orange"}  # fmt: skip
 INTEGRATOR = {"Explicit": "o", "Newmark": "s", "Newmark(beta=0.5, gamma=1.0)": "v", "GeneralizedAlpha": "D",
-              "ContactDynamics": "*", "Static": "P", "Relaxation(damping=Adaptive)": "^", "Relaxation(damping=Local)": "<"}  # fmt: skip
+              "ContactDynamics": "*", "Static": "P", "Relaxation(damping=Adaptive)": "^",
+              "Relaxation(damping=Local)": "<"}  # fmt: skip
 SHORT = {"Newmark(beta=0.5, gamma=1.0)": "Newmark (DDA)", "Relaxation(damping=Adaptive)": "Relaxation, adaptive",
          "Relaxation(damping=Local)": "Relaxation", "Zoned(strain='small')": "Zoned, small strain"}  # fmt: skip
 
@@ -74,7 +75,9 @@ def orders(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             x, y = np.log([r[knob] for r in line]), np.log([max(r["error"], 1e-16) for r in line])
             slope = float(np.polyfit(x, y, 1)[0]) * (-1 if knob == "kn" else 1)
             steady = bool(np.all(np.diff(y) * (-1 if knob == "kn" else 1) > 0))
-            found.append({"series": key[0], "knob": knob, "order": round(slope, 2), "monotone": steady, "points": len(line)})
+            found.append(
+                {"series": key[0], "knob": knob, "order": round(slope, 2), "monotone": steady, "points": len(line)}
+            )
     return found
 
 
@@ -124,7 +127,9 @@ def sheets(data: dict[str, Any], folder: Path) -> list[Path]:
         if any(problem.get("tuned") for _, problem in some):
             handles.append(plt.Line2D([], [], color="magenta", marker="x", mew=2, ls="", label="chosen by fdem.tune"))
         m = data["machine"]
-        figure.suptitle(f"Run time against error: {m['cpu']}, one thread, commit {m['commit']}, {m['date']}", fontsize=10)
+        figure.suptitle(
+            f"Run time against error: {m['cpu']}, one thread, commit {m['commit']}, {m['date']}", fontsize=10
+        )
         figure.legend(handles=handles, loc="lower center", ncol=7, fontsize=8)
         figure.tight_layout(rect=(0, 0.07, 1, 0.98))
         path = folder / f"precision_{sheet}.png"
@@ -136,7 +141,10 @@ def sheets(data: dict[str, Any], folder: Path) -> list[Path]:
 
 def table(data: dict[str, Any]) -> str:
     """Cheapest way to 1 % and to 0.1 %."""
-    lines = ["| problem | compared | to 1 % | CPU s (wall) | error | to 0.1 % | CPU s (wall) | error |", "|" + "---|" * 8]
+    lines = [
+        "| problem | compared | to 1 % | CPU s (wall) | error | to 0.1 % | CPU s (wall) | error |",
+        "|" + "---|" * 8,
+    ]
     for problem in data["problems"].values():
         cells = [problem["title"], problem["quantity"]]
         for level in LEVELS:
@@ -164,8 +172,8 @@ def order_table(data: dict[str, Any]) -> str:
 
 def tuned_table(data: dict[str, Any]) -> str:
     """What `fdem.tune` chose, against the cheapest setting of the table."""
-    lines = ["| problem | asked | chosen | true error | estimated | CPU s | best by hand | ratio | tuning: runs, CPU s |",
-             "|" + "---|" * 9]  # fmt: skip
+    heads = ("problem", "asked", "chosen", "true error", "estimated", "CPU s", "best by hand", "ratio", "runs, CPU s")
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for problem in data["problems"].values():
         for t in problem.get("tuned", []):
             if t.get("failure"):
@@ -173,10 +181,9 @@ def tuned_table(data: dict[str, Any]) -> str:
                 continue
             by_hand = f"{t['by_hand']:.3g}" if t["by_hand"] else "none"
             ratio = f"{t['cpu'] / t['by_hand']:.2f}" if t["by_hand"] else "-"
-            lines.append(
-                f"| {problem['title']} | {t['tolerance']:g} | {t['settings']} | {t['true_error']:.1e} | {t['error']:.1e} | "
-                f"{t['cpu']:.3g} | {by_hand} | {ratio} | {t['runs']}, {t['cost']:.3g} |"
-            )
+            cells = [problem["title"], f"{t['tolerance']:g}", t["settings"], f"{t['true_error']:.1e}", f"{t['error']:.1e}",
+                     f"{t['cpu']:.3g}", by_hand, ratio, f"{t['runs']}, {t['cost']:.3g}"]  # fmt: skip
+            lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) if len(lines) > 2 else ""
 
 

@@ -12,6 +12,7 @@ __all__ = [
     "OverlapError",
     "SceneError",
     "SolveError",
+    "ToleranceError",
     "UnstableError",
     "UnsupportedError",
 ]
@@ -47,6 +48,14 @@ class UnstableError(SolveError):
 
 class ConvergenceError(SolveError):
     """An iteration did not converge; carries the residual history."""
+
+
+class ToleranceError(ConvergenceError):
+    """An error asked for was not reached; `best` is the best that was, a `Tuned`."""
+
+    def __init__(self, message: str, best: object = None) -> None:
+        super().__init__(message)
+        self.best = best
 
 
 class OverlapError(SolveError):

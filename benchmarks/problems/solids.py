@@ -11,10 +11,24 @@ import fdem
 from fdem.tuning.settings import Settings
 
 from .base import Problem, Solve, grid
-from .blocks import ADAPTIVE, ALPHA, DDA, EXPLICIT, LINEAR, LOCAL, NEWMARK, RIGID, SMALL, STATIC, UNIFORM, ZONED, simulation
+from .blocks import (
+    ADAPTIVE,
+    ALPHA,
+    DDA,
+    EXPLICIT,
+    LINEAR,
+    LOCAL,
+    NEWMARK,
+    RIGID,
+    SMALL,
+    STATIC,
+    UNIFORM,
+    ZONED,
+    simulation,
+)
 
 
-def plane(axis: int, value: float):  # noqa: ANN201
+def plane(axis: int, value: float):
     """Selector of what lies in the plane ``x[axis] = value``."""
     return lambda x: np.abs(x[:, axis] - value) < 1e-6
 
@@ -24,7 +38,7 @@ def pieces(length: float, size: float) -> np.ndarray:
     return np.linspace(0.0, length, math.ceil(length / size - 1e-9) + 1)
 
 
-def mean_of(sim: fdem.Simulation, blocks, axis: int, value: float, component: int) -> float:  # noqa: ANN001
+def mean_of(sim: fdem.Simulation, blocks, axis: int, value: float, component: int) -> float:
     """Mean displacement of the gridpoints that started in a plane."""
     moved = np.vstack([sim[b].gridpoint_displacement for b in blocks])
     places = np.vstack([sim[b].gridpoints for b in blocks]) - moved
@@ -39,7 +53,7 @@ STEEL = fdem.Elastic(DENSITY, YOUNG, 0.0)
 
 
 def bar(s: Settings) -> Solve:
-    """A bar held at one end, suddenly pulled at the other; zones, or pieces in a row (rigid ones on springs E / size)."""
+    """A bar held at one end, suddenly pulled at the other; zones, or pieces in a row (rigid: springs E / size)."""
     scene = fdem.Scene(gravity=(0, 0, 0))
     if s.body.kind == "zoned":
         blocks = [scene.add(fdem.brick((0, 0, 0), (LENGTH, WIDTH, WIDTH)), s.body, STEEL)]
@@ -52,9 +66,7 @@ def bar(s: Settings) -> Solve:
         else:
             kn = s.kn
         scene.add(fdem.brick((-0.1, 0, 0), (0, WIDTH, WIDTH)), RIGID, fixed=True, name="wall")
-        blocks = [
-            scene.add(fdem.brick((a, 0, 0), (b, WIDTH, WIDTH)), s.body, STEEL) for a, b in itertools.pairwise(x)
-        ]
+        blocks = [scene.add(fdem.brick((a, 0, 0), (b, WIDTH, WIDTH)), s.body, STEEL) for a, b in itertools.pairwise(x)]
         scene.joint(fdem.Bonded(kn=kn, ks=kn))
         if s.body.kind == "rigid":
             scene.joint(fdem.Bonded(kn=2 * kn, ks=kn), "wall")

@@ -27,6 +27,7 @@ class Impulses:
     def __init__(self, system: Any) -> None:
         self.system, self.model, self.state = system, system.model, system.state
         system.harden()
+        system.hard_table = hard.table(hard.NONE, np.zeros((0, 3)), np.zeros(0))
         self._turners = [batch for batch in self.model.batches if batch.turns]
         self.turned = [np.zeros((len(batch.rows), 3)) for batch in self._turners]
 
@@ -34,7 +35,6 @@ class Impulses:
         """Rotation vectors since last asked, of the batches that turn."""
         result, self.turned = self.turned, [np.zeros_like(turned) for turned in self.turned]
         return result
-        system.hard_table = hard.table(hard.NONE, np.zeros((0, 3)), np.zeros(0))
 
     def commit_loads(self) -> None:
         """Work of loads up to here, positions as those of the last commit."""
