@@ -181,7 +181,8 @@ def tuned_table(data: dict[str, Any]) -> str:
                 continue
             by_hand = f"{t['by_hand']:.3g}" if t["by_hand"] else "none"
             ratio = f"{t['cpu'] / t['by_hand']:.2f}" if t["by_hand"] else "-"
-            cells = [problem["title"], f"{t['tolerance']:g}", t["settings"], f"{t['true_error']:.1e}", f"{t['error']:.1e}",
+            cells = [problem["title"], f"{t['tolerance']:g}", t["settings"],
+                     f"{t['true_error']:.1e}", f"{t['error']:.1e}",
                      f"{t['cpu']:.3g}", by_hand, ratio, f"{t['runs']}, {t['cost']:.3g}"]  # fmt: skip
             lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) if len(lines) > 2 else ""

@@ -65,7 +65,7 @@ def run(data: dict[str, Any], only: list[str] | None) -> None:
             ratio = found["cpu"] / found["by_hand"] if found["by_hand"] else float("nan")
             print(
                 f"{name:11s} {tolerance:g}: {found['settings']}: true {found['true_error']:.1e}, value "
-                f"{found['value_error']:.1e}, estimated {found['error']:.1e}; {ratio:.2f} x by hand; {found['runs']} runs, "
-                f"{found['cost']:.1f} CPU s",
+                f"{found['value_error']:.1e}, estimated {found['error']:.1e}; {ratio:.2f} x by hand; "
+                f"{found['runs']} runs, {found['cost']:.1f} CPU s",
                 flush=True,
             )

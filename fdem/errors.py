@@ -51,7 +51,15 @@ class ConvergenceError(SolveError):
 
 
 class ToleranceError(ConvergenceError):
-    """An error asked for was not reached; `best` is the best that was, a `Tuned`."""
+    """An error asked for was not reached.
+
+    Parameters
+    ----------
+    message : str
+        Why.
+    best : Tuned
+        The best that was reached.
+    """
 
     def __init__(self, message: str, best: object = None) -> None:
         super().__init__(message)

@@ -50,6 +50,7 @@ ARROWS = {
     "views": BASE | {"model", "state", "results"},
     "checkpoint": BASE | {"model", "state", "contact", "scene"},
     "simulation": BASE | NUMERIC | {"scene", "compile", "integrate", "results"} | FRONT,
+    "tuning": BASE | {"scene", "integrate", "simulation"},
 }
 # third-party packages a part may import inside functions; numpy may be imported at the top anywhere
 LAZY = {

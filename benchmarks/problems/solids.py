@@ -64,7 +64,7 @@ def bar(s: Settings) -> Solve:
         if s.body.kind == "rigid":  # a lattice: its springs are those of the material, half of one at the wall
             kn = YOUNG / (x[1] - x[0])
         else:
-            kn = s.kn
+            kn = s.kn * YOUNG / (x[1] - x[0])
         scene.add(fdem.brick((-0.1, 0, 0), (0, WIDTH, WIDTH)), RIGID, fixed=True, name="wall")
         blocks = [scene.add(fdem.brick((a, 0, 0), (b, WIDTH, WIDTH)), s.body, STEEL) for a, b in itertools.pairwise(x)]
         scene.joint(fdem.Bonded(kn=kn, ks=kn))
@@ -90,13 +90,13 @@ BAR = Problem(
     [
         *grid([SMALL, ZONED], EXPLICIT, safety=[0.8], size=CELLS[:3]),
         *grid(RIGID, EXPLICIT, safety=[0.8], size=CELLS),
-        *grid(UNIFORM, EXPLICIT, safety=[0.8], size=CELLS[:2], kn=[1e14]),
+        *grid(UNIFORM, EXPLICIT, safety=[0.8], size=CELLS[:2], kn=[1e2]),
         *grid(SMALL, [NEWMARK, ALPHA, DDA], dt=[1e-5, 2.5e-6], size=CELLS[1:2]),
     ],
     [
         *grid([SMALL, ZONED], EXPLICIT, safety=[0.8, 0.4], size=[LENGTH / 80, LENGTH / 160]),
         *grid(RIGID, [EXPLICIT, NEWMARK], safety=[0.8], dt=[1e-6], size=[LENGTH / 160, LENGTH / 320]),
-        *grid(UNIFORM, EXPLICIT, safety=[0.8], size=CELLS, kn=[1e13, 1e14, 1e15]),
+        *grid(UNIFORM, EXPLICIT, safety=[0.8], size=CELLS, kn=[10, 1e2, 1e3]),
         *grid(SMALL, [NEWMARK, ALPHA, DDA], dt=[1e-5, 2.5e-6, 6e-7], size=CELLS),
     ],
     {"body": [SMALL, RIGID], "integrator": [EXPLICIT, NEWMARK], "size": LENGTH / 8, "dt": 2e-5},
@@ -121,7 +121,7 @@ def end_shear(x: np.ndarray) -> np.ndarray:
 
 
 def cantilever(s: Settings) -> Solve:
-    """A beam of 8 x 1 x 1 m under a parabolic end shear; zones, or bending blocks glued to each other."""
+    """A beam of 8 x 1 x 1 m under a parabolic end shear; zones, or bending blocks glued with kn times their own stiffness."""
     stone = fdem.Elastic(2500.0, STONE_YOUNG, 0.0)
     scene, half = fdem.Scene(gravity=(0, 0, 0)), DEPTH / 2
     if s.body.kind == "zoned":
@@ -134,7 +134,8 @@ def cantilever(s: Settings) -> Solve:
             scene.add(fdem.brick((a, -half, 0), (b, half, 1)), body, stone)
             for a, b in itertools.pairwise(pieces(SPAN, s.size))
         ]
-        scene.joint(fdem.Bonded(kn=s.kn, ks=s.kn))
+        glue = s.kn * STONE_YOUNG / s.size
+        scene.joint(fdem.Bonded(kn=glue, ks=glue))
     scene.apply(fdem.Traction(end_shear), blocks[-1], where=plane(0, SPAN))
     sim = simulation(scene, s)
 
@@ -156,16 +157,16 @@ CANTILEVER = Problem(
     [
         *grid([SMALL, ZONED], STATIC, ratio=[1e-6], size=[0.7, 0.35, 0.2]),
         *grid(SMALL, ADAPTIVE, ratio=[1e-4], size=[0.7, 0.35]),
-        *grid(LINEAR, STATIC, ratio=[1e-6], size=[8.0, 4.0, 2.0, 1.0, 0.5], kn=[1e13]),
-        *grid(LINEAR, STATIC, ratio=[1e-6], size=[1.0], kn=[1e12]),
-        *grid(LINEAR, ADAPTIVE, ratio=[1e-6], size=[2.0, 1.0], kn=[1e12]),
+        *grid(LINEAR, STATIC, ratio=[1e-6], size=[8.0, 4.0, 2.0, 1.0, 0.5], kn=[1e3]),
+        *grid(LINEAR, STATIC, ratio=[1e-6], size=[1.0], kn=[1e2, 1e4]),
+        *grid(LINEAR, ADAPTIVE, ratio=[1e-4], size=[4.0, 2.0], kn=[1e2]),
     ],
     [
         *grid(SMALL, STATIC, ratio=[1e-6], size=[0.14, 0.1, 0.07]),
         *grid(SMALL, [ADAPTIVE, LOCAL], ratio=[1e-5, 1e-7], size=[0.7, 0.35, 0.2]),
-        *grid(LINEAR, STATIC, ratio=[1e-6], size=[0.5, 0.25], kn=[1e12, 1e13, 1e14]),
+        *grid(LINEAR, STATIC, ratio=[1e-6], size=[2.0, 1.0, 0.5, 0.25], kn=[1e2, 1e3, 1e4]),
     ],
-    {"body": [SMALL, LINEAR], "integrator": [STATIC, ADAPTIVE], "size": 1.0, "kn": 1e11, "ratio": 1e-5},
+    {"body": [LINEAR, SMALL], "integrator": [STATIC, ADAPTIVE], "size": 4.0, "kn": 10.0, "ratio": 1e-4},
 )
 
 # ------------------------------------------------------------------------------------------------------- cylinder
@@ -253,7 +254,7 @@ def joint(s: Settings) -> Solve:
         halves = [[scene.add(fdem.brick((a, 0, 0), (b, width, width)), s.body, stone, group=side)
                    for a, b in itertools.pairwise(x)]
                   for side, x in zip(("left", "right"), spans, strict=True)]  # fmt: skip
-        glue = RHO * C_WAVE**2 / (spans[1][1] - spans[1][0]) if s.body.kind == "rigid" else s.kn
+        glue = RHO * C_WAVE**2 / (spans[1][1] - spans[1][0]) * (1.0 if s.body.kind == "rigid" else s.kn)
         for side in ("left", "right"):
             scene.joint(fdem.Bonded(kn=glue, ks=glue), between=(side, side))
         left, right, behind = halves[0][0], halves[1][-1], halves[1][0]
@@ -280,13 +281,13 @@ JOINT = Problem(
     [
         *grid([SMALL, ZONED], EXPLICIT, safety=[0.8], size=J_CELLS[:3]),
         *grid(RIGID, EXPLICIT, safety=[0.8], size=J_CELLS),
-        *grid(UNIFORM, EXPLICIT, safety=[0.8], size=J_CELLS[:2], kn=[1e13]),
+        *grid(UNIFORM, EXPLICIT, safety=[0.8], size=J_CELLS[:2], kn=[1e2]),
         *grid(SMALL, [NEWMARK, ALPHA], dt=[1e-4, 2.5e-5], size=J_CELLS[:1]),
     ],
     [
         *grid([SMALL, ZONED], EXPLICIT, safety=[0.8, 0.4], size=J_CELLS),
         *grid(SMALL, [NEWMARK, ALPHA, DDA], dt=[1e-4, 2.5e-5, 6e-6], size=J_CELLS[1:3]),
-        *grid(UNIFORM, EXPLICIT, safety=[0.8], size=J_CELLS[:3], kn=[1e12, 1e13, 1e14]),
+        *grid(UNIFORM, EXPLICIT, safety=[0.8], size=J_CELLS[:3], kn=[10, 1e2, 1e3]),
     ],
     {"body": [SMALL, RIGID], "integrator": [EXPLICIT, NEWMARK], "size": 0.4, "dt": 2e-4},
 )
@@ -299,7 +300,8 @@ P_KN, P_LOAD, P_YOUNG = 1e11, 1e6, 1e10
 def patch(s: Settings) -> Solve:
     """Two blocks with meshes of their own pressed on each other: the top goes down by 2 p H / E + p / kn."""
     scene, rock = fdem.Scene(gravity=(0, 0, 0)), fdem.Elastic(2500.0, P_YOUNG, 0.0)
-    bodies = [s.body, s.body if s.size is None else fdem.Zoned(size=0.7 * s.size, strain=s.body.strain)]
+    finer = fdem.Zoned(size=0.7 * s.size, strain=s.body.strain) if s.body.kind == "zoned" else s.body
+    bodies = [s.body, finer]
     blocks = [scene.add(fdem.brick((0, 0, k), (1, 1, k + 1)), bodies[k], rock) for k in range(2)]
     scene.fix(blocks[0], "z", where=plane(2, 0.0))
     scene.fix(blocks, ("x", "y"))
@@ -326,7 +328,7 @@ PATCH = Problem(
         *grid(LINEAR, [STATIC, ADAPTIVE], ratio=[1e-3, 1e-5]),
     ],
     [*grid([ZONED, SMALL], [STATIC, ADAPTIVE, LOCAL], ratio=[1e-2, 1e-4, 1e-7], size=[0.5, 0.25])],
-    {"body": [ZONED, LINEAR], "integrator": [STATIC, ADAPTIVE, LOCAL], "size": 0.5, "ratio": 1e-2},
+    {"body": [ZONED, LINEAR], "integrator": [STATIC, ADAPTIVE, LOCAL], "size": 0.7, "ratio": 1e-2},
 )
 
 SOLIDS = [BAR, CANTILEVER, CYLINDER, JOINT, PATCH]

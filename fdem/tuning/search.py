@@ -1,178 +1,32 @@
-"""Tolerance in, settings out: the cheapest formulation, mesh, step and contact stiffness for an error asked for."""
+"""The search behind `fdem.tune`: first the limit, then the cheapest run near it."""
 
 from __future__ import annotations
 
 import math
 import time as clock
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from statistics import median
 from typing import Any
 
-from fdem.errors import ConvergenceError, FdemError, FdemWarning, SceneError, ToleranceError
-from fdem.integrate.explicit import Adaptive, Explicit, Relaxation
-from fdem.integrate.implicit import GeneralizedAlpha, Newmark
-from fdem.integrate.nonsmooth import ContactDynamics
-from fdem.integrate.static import Static
-from fdem.scene.bodies import LinearStrain, Rigid, UniformStrain, Zoned
+from fdem.errors import ConvergenceError, FdemError, FdemWarning, ToleranceError
 from fdem.scene.scene import Scene
 from fdem.simulation import Simulation
+from fdem.tuning.result import Tuned
 from fdem.tuning.settings import Settings
 from fdem.tuning.track import Knob, Run, Track
 
-__all__ = ["Tuned", "tune"]
+__all__ = ["Search"]
 
 AIM = 0.15  # of the tolerance: uncertainty of the limit that is aimed at, so that little of the tolerance goes there
 ENOUGH = 0.5  # of the tolerance: uncertainty that will do where the budget ends
 SLACK = 10.0  # times the tolerance: energy closure above which a run counts as failed
 POLISH = 14  # coarser settings tried for one formulation and integrator
+GAIN = 0.95  # of the cost: less is noise
+COARSEST, COARSEST_OTHER = {"ratio": 0.0, "dt": -2.0}, -3.0  # levels below the start that are tried
 FINALISTS, REPEATS = 3, 3
 SHORT_RUN = 20.0  # s: first runs shorter than that are repeated, as kernels may have been compiled in them
 READ = ("size", "dt", "safety", "kn", "ratio")
-
-
-@dataclass
-class Tuned:
-    """What `tune` found.
-
-    Attributes
-    ----------
-    value : float
-        Best estimate of the quantity: the limit the runs tend to.
-    uncertainty : float
-        Estimated relative error of `value`.
-    quantity : float
-        What the chosen settings gave.
-    error : float
-        Estimated relative error of `quantity`, at most the tolerance.
-    settings : Settings
-        The cheapest that were found for the tolerance.
-    sim : object
-        What was run with them (a `Simulation`, or what the scene factory returned).
-    cost : float
-        CPU time of a run with them, set-up and solve [s].
-    total_cost : float
-        CPU time of everything that was tried [s].
-    runs : list of Run
-        Everything that was tried: `settings`, `value`, `cost`, `failure`, `closure`.
-    """
-
-    value: float
-    uncertainty: float
-    quantity: float
-    error: float
-    settings: Settings | None
-    sim: Any = field(default=None, repr=False)
-    cost: float = math.nan
-    total_cost: float = math.nan
-    runs: list[Run] = field(default_factory=list, repr=False)
-
-    def table(self) -> str:
-        """Everything that was tried, one run a line: CPU time, distance from the best estimate, settings."""
-        lines = ["  CPU s       value    distance  settings"]
-        for run in self.runs:
-            off = abs(run.value / self.value - 1.0) if self.value else math.nan
-            lines.append(f"{run.cost:7.3f} {run.value:11.5g} {off:11.2e}  {run.settings}  {run.failure}".rstrip())
-        return "\n".join(lines)
-
-
-def tune(
-    scene_factory: Callable[[Settings], Any],
-    quantity: Callable[[Any], float],
-    tolerance: float = 0.01,
-    *,
-    body: Any = None,
-    integrator: Any = None,
-    size: float | None = None,
-    dt: float | None = None,
-    kn: float | None = None,
-    ratio: float | None = None,
-    time: float | None = None,
-    scale: float | None = None,
-    budget: float = 600.0,
-    max_runs: int = 300,
-) -> Tuned:
-    """Find the cheapest settings that give a quantity to a relative error asked for.
-
-    Parameters
-    ----------
-    scene_factory : callable
-        ``scene_factory(s)`` builds the scene from the settings ``s.body``, ``s.integrator``, ``s.size``, ``s.dt``,
-        ``s.kn``, ``s.ratio``, as far as they matter to it. It returns a `Scene` (which is then run for `time`, or
-        solved to ``s.ratio``) or whatever `quantity` takes, for instance a `Simulation` that it has run itself.
-    quantity : callable
-        ``quantity(sim)`` is the number wanted.
-    tolerance : float, optional
-        Relative error asked for.
-    body : body or list of bodies, optional
-        Formulations to choose from. The first is the model that is asked for; another one is chosen if it gives the
-        same. None: zoned, linear strain, uniform strain, rigid, where the factory reads ``s.body``.
-    integrator : integrator or list of integrators, optional
-        To choose from. None: explicit, implicit and non-smooth ones if `time` is given, otherwise those for rest.
-    size : float, optional
-        A coarse size of zones or pieces to begin with [m]. None: that of the body, or half a block.
-    dt : float, optional
-        A long step of implicit rules to begin with [s]. None: that of the integrator, or `time` / 50.
-    kn : float, optional
-        A soft contact to begin with [Pa/m], where stiffness stands for a hard contact; its limit is that of a hard one.
-        Leave it out where the stiffness of joints is a datum.
-    ratio : float, optional
-        A solve ratio to begin with. None: 1e-3.
-    time : float, optional
-        How long a scene is to run [s]. None: it is solved for equilibrium.
-    scale : float, optional
-        What errors are relative to. None: the quantity itself, which must not be zero then.
-    budget : float, optional
-        CPU time for everything [s].
-    max_runs : int, optional
-        Runs for everything.
-
-    Returns
-    -------
-    Tuned
-        With the best estimate of the quantity, its error, the settings, their simulation and all that was tried.
-
-    Raises
-    ------
-    ToleranceError
-        If the tolerance cannot be met within the budget; its `best` is the best that was reached.
-    SceneError
-        If the scene or an option is wrong.
-
-    Notes
-    -----
-    A number (mesh size, step, share of the stable step, contact stiffness, solve ratio) is refined if the factory
-    reads it or the body or integrator has it. One number is refined at a time, that with most of the uncertainty for
-    its cost; the limit follows from Richardson's extrapolation with the order that is observed, and one run with all of
-    them finer checks that they do not depend on each other. Limits of two integrators must agree. Then coarser
-    settings are tried, the cheapest that lie within the tolerance of the limit are timed, and the fastest is chosen.
-    Runs that raise an `FdemError`, do not converge or do not keep their energy are data: they are left aside.
-    """
-    if not (isinstance(tolerance, (int, float)) and 0.0 < tolerance < 1.0):
-        raise SceneError(f"tune: tolerance = {tolerance!r}, allowed is a number between 0 and 1")
-    if not callable(scene_factory) or not callable(quantity):
-        raise SceneError("tune: scene_factory and quantity must be callable")
-    for name, value in {"size": size, "dt": dt, "kn": kn, "ratio": ratio, "time": time, "scale": scale}.items():
-        if value is not None and not (isinstance(value, (int, float)) and 0.0 < value < math.inf):
-            raise SceneError(f"tune: {name} = {value!r}, allowed is a positive number")
-    bodies = _listed(body) or [Zoned(), LinearStrain(), UniformStrain(), Rigid()]
-    rules = _listed(integrator) or _rules(time, dt)
-    start = {"size": size, "dt": dt, "kn": kn, "ratio": ratio}
-    return _Search(scene_factory, quantity, float(tolerance), time, scale, budget, max_runs).find(bodies, rules, start)
-
-
-def _listed(choice: Any) -> list[Any]:
-    if choice is None:
-        return []
-    return list(choice) if isinstance(choice, Sequence) else [choice]
-
-
-def _rules(time: float | None, dt: float | None) -> list[Any]:
-    if time is None:
-        return [Static(), Relaxation(damping=Adaptive())]
-    step = dt or time / 50.0
-    return [Explicit(), Newmark(step), GeneralizedAlpha(step), ContactDynamics(step)]
 
 
 class _Watched(Settings):
@@ -188,7 +42,9 @@ class _Exhausted(Exception):
     """The budget is spent."""
 
 
-class _Search:
+class Search:
+    """One search; see `fdem.tune` for what the arguments are."""
+
     def __init__(
         self,
         factory: Callable[[Settings], Any],
@@ -205,6 +61,7 @@ class _Search:
         self.tracks: list[Track] = []
         self.total, self.read = 0.0, set[str]()
         self.value, self.doubt = math.nan, math.inf
+        self.why = "the budget is spent"
 
     # ------------------------------------------------------------------------------------------------ single runs
 
@@ -259,13 +116,15 @@ class _Search:
                 if not first and ("body" not in self.read and body is not bodies[0]):
                     continue
                 numbers = self._numbers(body, rule, start)
-                run = self.run(Settings.of(body, rule, **numbers))
+                cold = run = self.run(Settings.of(body, rule, **numbers))
                 if first or run.cost < SHORT_RUN:
                     run = self.run(run.settings)  # kernels were loaded in the first
+                    cold.cost = run.cost
                 first = False
-                knobs = [Knob(name, value) for name, value in numbers.items() if self._counts(name, body, rule)]
-                fixed = {name: value for name, value in numbers.items() if name not in {k.name for k in knobs}}
-                track = Track(knobs, self._runner(body, rule, fixed), body is bodies[0])
+                counted = {name: value for name, value in numbers.items() if self._counts(name, body, rule)}
+                cold.settings = run.settings = Settings.of(body, rule, **counted)
+                knobs = [Knob(name, value) for name, value in counted.items()]
+                track = Track(knobs, self._runner(body, rule), body is bodies[0])
                 track.runs[track.base], track.spent = run, run.cost
                 track.begin()
                 self.tracks.append(track)
@@ -289,21 +148,26 @@ class _Search:
             name == "ratio" and getattr(rule, "static", False)
         )  # fmt: skip
 
-    def _runner(self, body: Any, rule: Any, fixed: dict[str, float]) -> Callable[[dict[str, float]], Run]:
-        return lambda numbers: self.run(Settings.of(body, rule, **fixed, **numbers))
+    def _runner(self, body: Any, rule: Any) -> Callable[[dict[str, float]], Run]:
+        def run(numbers: dict[str, float]) -> Run:
+            try:
+                settings = Settings.of(body, rule, **numbers)
+            except FdemError as error:  # beyond what the body or the integrator takes
+                return Run(Settings(body, rule, **numbers), math.nan, 0.0, str(error))
+            return self.run(settings)
+
+        return run
 
     # -------------------------------------------------------------------------------------------------- the limit
 
     def find(self, bodies: list[Any], rules: list[Any], start: dict[str, float | None]) -> Tuned:
         """Limit first, then the cheapest settings near it."""
-        why = "the budget is spent"
         try:
             self.candidates(bodies, rules, start)
             if not any(track.trusted and not track.dead for track in self.tracks):
-                why = f"no run of {type(bodies[0]).__name__} gave a value: {self.runs[0].failure}"
+                self.why = f"no run of {type(bodies[0]).__name__} gave a value: {self.runs[0].failure}"
                 raise _Exhausted
             if not self.converge():
-                why = "refining does not settle the limit"
                 raise _Exhausted
             self.compete()
             self.finish()
@@ -313,8 +177,8 @@ class _Search:
         best = self.told(chosen)
         if chosen is None or best.error > self.tolerance:
             raise ToleranceError(
-                f"a relative error of {self.tolerance:g} was not reached: {why} ({self.total:.0f} of {self.budget:g} s "
-                f"in {len(self.runs)} runs); the best estimate is {best.value:.6g} with an error of about "
+                f"a relative error of {self.tolerance:g} was not reached: {self.why} ({self.total:.0f} s of "
+                f"{self.budget:g}, {len(self.runs)} runs); the best estimate is {best.value:.6g} with an error of about "
                 f"{best.uncertainty:.1g}. A larger budget, a finer start or a larger tolerance helps; where the "
                 "quantity is close to zero give a scale",
                 best,
@@ -335,13 +199,16 @@ class _Search:
                     return True
                 aim *= 0.5  # one of the two is wrong about itself
                 if aim < AIM / 16:
+                    self.why = f"{first.kind} and {witness.kind} tend to different limits"
                     return False
-            steps = [(t, t.next_step(self.allowed(t.estimate[0]) * aim)) for t in live if t not in sure]
-            steps = [(t, step) for t, step in steps if step is not None]
+            asked = [(t, t.next_step(self.allowed(t.estimate[0]) * aim)) for t in live if t not in sure]
+            steps = [(t, step) for t, step in asked if step is not None]
             if not steps:
+                self.why = "refining does not settle the limit, or fails"
                 return self._settle(ENOUGH)
             track, (k, target) = min(steps, key=lambda item: item[0].spent + item[0].expected(item[1][1]))
             if track.expected(target) > self.budget - self.total:
+                self.why = "the next refinement would cost more than is left of the budget"
                 return self._settle(ENOUGH)
             track.refine(k, target)
 
@@ -424,9 +291,11 @@ class _Search:
                 best = self.cheapest(self.runs)
                 if trial in track.runs or best is None or track.expected(trial) > 1.2 * best.cost:
                     continue
+                if trial[k] < COARSEST.get(track.knobs[k].name, COARSEST_OTHER):
+                    continue
                 left -= 1
                 run = track.try_at(trial)
-                if self.within(run) and run.cost < 1.05 * track.runs[at].cost:
+                if self.within(run) and run.cost < GAIN * track.runs[at].cost:
                     better = trial
                     break
             if better is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from fdem.tuning.estimate import Limit, limit
@@ -17,6 +18,7 @@ Levels = tuple[float, ...]
 NEGLIGIBLE = 0.02  # of the error allowed: a number that matters less is left as it is
 DEAREST = 40.0  # largest growth of cost in a step of refinement that is expected
 RETRIES = 4  # joint refinements of a start that fails
+STRAY = 0.1  # worth of refining on where values move further apart
 AGAIN = 2  # further refinements where a finer number gave the same bits
 
 # factor of a step of refinement, ratio of the error's steps it stands for, order taken where none is seen
@@ -75,6 +77,14 @@ class _Line:
     ahead: float = 0.0  # from the base to the last value
     blocked: bool = False
     found: Limit = field(default_factory=Limit)
+
+    def straying(self) -> int:
+        """How often in a row the values have moved by more than before: other numbers are too coarse."""
+        steps = [abs(b - a) for a, b in pairwise(self.values)]
+        count = 0
+        while count < len(steps) - 1 and steps[-1 - count] >= steps[-2 - count]:
+            count += 1
+        return count
 
 
 class Track:
@@ -147,6 +157,11 @@ class Track:
         self.dead = True
 
     @property
+    def kind(self) -> str:
+        """Formulation and integrator."""
+        return self.runs[self.base].settings.kind
+
+    @property
     def estimate(self) -> tuple[float, float]:
         """Limit of the quantity and its uncertainty."""
         if self.dead or self.base not in self.runs:
@@ -168,7 +183,7 @@ class Track:
                 continue
             target = self.moved(self.base, k, 1.0 if len(line.values) < 2 else 2.0)
             cost = self.expected(target) + self.expected(self.moved(self.base, k, float(len(line.values) > 1)))
-            worth = min(doubt, 1e3 * allowed) / max(cost, 1e-6)
+            worth = min(doubt, 1e3 * allowed) / max(cost, 1e-6) * STRAY ** line.straying()
             if math.isinf(doubt):
                 worth *= 1e3
             if worth > best:
