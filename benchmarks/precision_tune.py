@@ -11,14 +11,14 @@ from problems.base import Problem, measure
 
 import fdem
 
-TOLERANCES = (0.01, 0.001)
+BUDGET = 120.0  # CPU s of one search
 
 
 def one(problem: Problem, tolerance: float, rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Tune one problem; the setting it chose and the best by hand are timed in turn, so that load falls on both."""
     result: dict[str, Any] = {"tolerance": tolerance}
     try:
-        tuned = fdem.tune(problem.build, lambda solve: solve(), tolerance, **problem.tune)
+        tuned = fdem.tune(problem.build, lambda solve: solve(), tolerance, budget=BUDGET, **problem.tune)
     except fdem.ToleranceError as error:
         return result | {"failure": f"refused: {error}"[:160]}
     best = precision_report.cheapest(rows, tolerance)
@@ -50,13 +50,13 @@ def _same(setting: Any, row: dict[str, Any]) -> bool:
     )
 
 
-def run(data: dict[str, Any], only: list[str] | None) -> None:
+def run(data: dict[str, Any], only: list[str] | None, full: bool) -> None:
     """Tune the problems that have been measured; results go into `data`."""
     for name, measured in data["problems"].items():
         if only and name not in only:
             continue
         problem, measured["tuned"] = PROBLEMS[name], []
-        for tolerance in TOLERANCES:
+        for tolerance in (*problem.asked, *(problem.asked_too if full else ())):
             found = one(problem, tolerance, measured["rows"])
             measured["tuned"].append(found)
             if "failure" in found:

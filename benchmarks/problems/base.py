@@ -38,6 +38,8 @@ class Problem:
         What the full mode adds.
     tune : dict
         Coarse settings to start `fdem.tune` from.
+    asked, asked_too : tuple of float
+        Errors that `fdem.tune` is asked for in quick mode, and in full mode besides.
     """
 
     name: str
@@ -48,6 +50,8 @@ class Problem:
     series: Sequence[Settings]
     more: Sequence[Settings] = ()
     tune: dict[str, Any] = field(default_factory=dict)
+    asked: tuple[float, ...] = (0.01, 0.001)
+    asked_too: tuple[float, ...] = ()
 
     def run(self, setting: Settings) -> float:
         """Value that a setting gives."""

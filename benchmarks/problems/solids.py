@@ -100,6 +100,8 @@ BAR = Problem(
         *grid(SMALL, [NEWMARK, ALPHA, DDA], dt=[1e-5, 2.5e-6, 6e-7], size=CELLS),
     ],
     {"body": [SMALL, RIGID], "integrator": [EXPLICIT, NEWMARK], "size": LENGTH / 8, "dt": 2e-5},
+    asked=(0.01,),
+    asked_too=(0.001,),
 )
 
 # ----------------------------------------------------------------------------------------------------- cantilever
@@ -121,7 +123,7 @@ def end_shear(x: np.ndarray) -> np.ndarray:
 
 
 def cantilever(s: Settings) -> Solve:
-    """A beam of 8 x 1 x 1 m under a parabolic end shear; zones, or bending blocks glued with kn times their own stiffness."""
+    """A beam of 8 x 1 x 1 m under a parabolic end shear; zones, or bending blocks, glue kn times as stiff."""
     stone = fdem.Elastic(2500.0, STONE_YOUNG, 0.0)
     scene, half = fdem.Scene(gravity=(0, 0, 0)), DEPTH / 2
     if s.body.kind == "zoned":
@@ -167,6 +169,8 @@ CANTILEVER = Problem(
         *grid(LINEAR, STATIC, ratio=[1e-6], size=[2.0, 1.0, 0.5, 0.25], kn=[1e2, 1e3, 1e4]),
     ],
     {"body": [LINEAR, SMALL], "integrator": [STATIC, ADAPTIVE], "size": 4.0, "kn": 10.0, "ratio": 1e-4},
+    asked=(0.01,),
+    asked_too=(0.001,),
 )
 
 # ------------------------------------------------------------------------------------------------------- cylinder
@@ -229,6 +233,8 @@ CYLINDER = Problem(
         *grid([SMALL, ZONED], [ADAPTIVE, LOCAL], ratio=[1e-4, 1e-6], size=[1 / 16, 1 / 32]),
     ],
     {"body": [SMALL, ZONED], "integrator": [STATIC, ADAPTIVE], "size": 0.5, "ratio": 1e-4},
+    asked=(0.01,),
+    asked_too=(0.001,),
 )
 
 # ---------------------------------------------------------------------------------------------------------- joint
@@ -290,6 +296,8 @@ JOINT = Problem(
         *grid(UNIFORM, EXPLICIT, safety=[0.8], size=J_CELLS[:3], kn=[10, 1e2, 1e3]),
     ],
     {"body": [SMALL, RIGID], "integrator": [EXPLICIT, NEWMARK], "size": 0.4, "dt": 2e-4},
+    asked=(0.01,),
+    asked_too=(0.001,),
 )
 
 # ---------------------------------------------------------------------------------------------------------- patch

@@ -178,8 +178,8 @@ class Search:
         if chosen is None or best.error > self.tolerance:
             raise ToleranceError(
                 f"a relative error of {self.tolerance:g} was not reached: {self.why} ({self.total:.0f} s of "
-                f"{self.budget:g}, {len(self.runs)} runs); the best estimate is {best.value:.6g} with an error of about "
-                f"{best.uncertainty:.1g}. A larger budget, a finer start or a larger tolerance helps; where the "
+                f"{self.budget:g}, {len(self.runs)} runs); the best estimate is {best.value:.6g} with an error of "
+                f"about {best.uncertainty:.1g}. A larger budget, a finer start or a larger tolerance helps; where the "
                 "quantity is close to zero give a scale",
                 best,
             )
@@ -216,7 +216,7 @@ class Search:
         """Whether the limit of a track is known to so much of the tolerance, looked at with all numbers finer."""
         value, doubt = track.estimate
         allowed = self.allowed(value)
-        if not doubt <= share * allowed:
+        if not doubt <= share * allowed or any(line.stale(track.base, k) for k, line in enumerate(track.lines)):
             return False
         if not track.checked:
             track.check(allowed * share)

@@ -18,6 +18,8 @@ Levels = tuple[float, ...]
 NEGLIGIBLE = 0.02  # of the error allowed: a number that matters less is left as it is
 DEAREST = 40.0  # largest growth of cost in a step of refinement that is expected
 RETRIES = 4  # joint refinements of a start that fails
+FIRST = 1e6  # times the error allowed: doubt of such a number, so that it comes first
+STALE = 3.0  # levels that others have been refined by since a number was looked at: it is looked at again
 STRAY = 0.1  # worth of refining on where values move further apart
 AGAIN = 2  # further refinements where a finer number gave the same bits
 
@@ -77,6 +79,14 @@ class _Line:
     ahead: float = 0.0  # from the base to the last value
     blocked: bool = False
     found: Limit = field(default_factory=Limit)
+    seen: Levels = ()  # the base from which the last look was taken
+
+    def stale(self, base: Levels, k: int) -> bool:
+        """Whether the other numbers are much finer now than at the last look."""
+        return (
+            len(self.values) > 1
+            and sum(b - a for i, (a, b) in enumerate(zip(self.seen, base, strict=True)) if i != k) >= STALE
+        )
 
     def straying(self) -> int:
         """How often in a row the values have moved by more than before: other numbers are too coarse."""
@@ -179,11 +189,15 @@ class Track:
             doubt = line.found.uncertainty
             if self.knobs[k].name == "ratio":  # what the residual itself leaves open
                 doubt = max(doubt, abs(self.runs[self.base].value) * self.knobs[k].at(self.base[k]))
+            stale = line.stale(self.base, k)
+            if stale:
+                doubt = max(doubt, FIRST * allowed)
             if doubt <= NEGLIGIBLE * allowed:
                 continue
-            target = self.moved(self.base, k, 1.0 if len(line.values) < 2 else 2.0)
-            cost = self.expected(target) + self.expected(self.moved(self.base, k, float(len(line.values) > 1)))
-            worth = min(doubt, 1e3 * allowed) / max(cost, 1e-6) * STRAY ** line.straying()
+            further = float(len(line.values) > 1 and not stale)
+            target = self.moved(self.base, k, 1.0 + further)
+            cost = self.expected(target) + self.expected(self.moved(self.base, k, further))
+            worth = (doubt if stale else min(doubt, 1e3 * allowed)) / max(cost, 1e-6) * STRAY ** line.straying()
             if math.isinf(doubt):
                 worth *= 1e3
             if worth > best:
@@ -193,7 +207,8 @@ class Track:
     def refine(self, k: int, target: Levels) -> None:
         """Move the base to what is known beyond it in one number, and look one further."""
         line, before = self.lines[k], self.base
-        if len(line.values) > 1:
+        stale = line.stale(self.base, k)
+        if len(line.values) > 1 and not stale:
             self.base = self.moved(self.base, k, 1.0)
         if self.try_at(self.base).failure:
             self.base, line.blocked = before, True
@@ -209,7 +224,14 @@ class Track:
             line.blocked, line.ahead = True, 0.0
             return
         line.ahead = run.value - self.runs[self.base].value
+        if stale:
+            line.values.pop()
         line.values.append(line.values[-1] + line.ahead)
+        line.seen = self.base
+        if line.straying():  # something else is too coarse here: look at all of it again
+            for other in self.lines:
+                if other is not line:
+                    other.seen = tuple(-math.inf for _ in self.base)
         _, step, assumed = REFINE[self.knobs[k].name]
         line.found = limit(line.values, step, assumed)
         self.checked = False
