@@ -3,7 +3,8 @@
     python benchmarks/precision.py [--full] [--no-tune] [--only NAME ...] [--repeats N] [--report]
 
 Writes results/precision.json, the pictures results/precision_*.png, and the section of README.md that shows them.
-Then `fdem.tune` is run against the cheapest settings found (--no-tune leaves it out). --full adds finer settings; --report draws again from the JSON file.
+Then `fdem.tune` is run against the cheapest settings found (--no-tune leaves it out). --full adds finer settings;
+--report draws again from the JSON file.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ __all__ = ["Search"]
 AIM = 0.15  # of the tolerance: uncertainty of the limit that is aimed at, so that little of the tolerance goes there
 ENOUGH = 0.5  # of the tolerance: uncertainty that will do where the budget ends
 SLACK = 10.0  # times the tolerance: energy closure above which a run counts as failed
+WITNESS = 0.1  # of what is left of the budget: what a second opinion may cost
 POLISH = 14  # coarser settings tried for one formulation and integrator
 GAIN = 0.95  # of the cost: less is noise
 COARSEST, COARSEST_OTHER = {"ratio": 0.0, "dt": -2.0}, -3.0  # levels below the start that are tried
@@ -61,7 +62,7 @@ class Search:
         self.tracks: list[Track] = []
         self.total, self.read = 0.0, set[str]()
         self.value, self.doubt = math.nan, math.inf
-        self.why = "the budget is spent"
+        self.why, self.conflict = "the budget is spent", False
 
     # ------------------------------------------------------------------------------------------------ single runs
 
@@ -175,7 +176,7 @@ class Search:
             self._settle(ENOUGH)
         chosen = self.chosen()
         best = self.told(chosen)
-        if chosen is None or best.error > self.tolerance:
+        if chosen is None or best.error > self.tolerance or self.conflict:
             raise ToleranceError(
                 f"a relative error of {self.tolerance:g} was not reached: {self.why} ({self.total:.0f} s of "
                 f"{self.budget:g}, {len(self.runs)} runs); the best estimate is {best.value:.6g} with an error of "
@@ -194,13 +195,21 @@ class Search:
             if sure:
                 first = min(sure, key=lambda t: t.estimate[1])
                 witness = self._witness(first, live)
+                if witness is None and self._call(first, live, aim):
+                    continue
                 if witness is None or self._agree(first, witness):
                     self._take(first)
                     return True
+                step = witness.next_step(self.allowed(first.estimate[0]) * aim)
+                if step is not None and witness.expected(step[1]) <= self.budget - self.total:
+                    witness.refine(*step)
+                    continue
                 aim *= 0.5  # one of the two is wrong about itself
                 if aim < AIM / 16:
                     self.why = f"{first.kind} and {witness.kind} tend to different limits"
+                    self.conflict = True
                     return False
+                continue
             asked = [(t, t.next_step(self.allowed(t.estimate[0]) * aim)) for t in live if t not in sure]
             steps = [(t, step) for t, step in asked if step is not None]
             if not steps:
@@ -228,6 +237,19 @@ class Search:
         """The surest other track of the same model that has been refined at all."""
         others = [t for t in live if t is not first and math.isfinite(t.estimate[1])]
         return min(others, key=lambda t: t.estimate[1], default=None)
+
+    def _call(self, first: Track, live: list[Track], aim: float) -> bool:
+        """Refine another track of the same model until it can bear witness, if that costs no more than the first."""
+        allowed = self.allowed(first.estimate[0]) * aim
+        asked = [(t, t.next_step(allowed)) for t in live if t is not first]
+        steps = [(t, step) for t, step in asked if step is not None]
+        if not steps:
+            return False
+        track, (k, target) = min(steps, key=lambda item: item[0].spent + item[0].expected(item[1][1]))
+        if track.spent + track.expected(target) > max(first.spent, WITNESS * (self.budget - self.total)):
+            return False
+        track.refine(k, target)
+        return True
 
     def _agree(self, a: Track, b: Track) -> bool:
         (x, u), (y, w) = a.estimate, b.estimate

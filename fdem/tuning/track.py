@@ -92,7 +92,7 @@ class _Line:
         """How often in a row the values have moved by more than before: other numbers are too coarse."""
         steps = [abs(b - a) for a, b in pairwise(self.values)]
         count = 0
-        while count < len(steps) - 1 and steps[-1 - count] >= steps[-2 - count]:
+        while count < len(steps) - 1 and steps[-1 - count] >= steps[-2 - count] > 0.0:
             count += 1
         return count
 
@@ -230,7 +230,7 @@ class Track:
         line.seen = self.base
         if line.straying():  # something else is too coarse here: look at all of it again
             for other in self.lines:
-                if other is not line:
+                if other is not line and other.seen != self.base:
                     other.seen = tuple(-math.inf for _ in self.base)
         _, step, assumed = REFINE[self.knobs[k].name]
         line.found = limit(line.values, step, assumed)
