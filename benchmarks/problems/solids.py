@@ -91,7 +91,7 @@ BAR = Problem(
         *grid([SMALL, ZONED], EXPLICIT, safety=[0.8], size=CELLS[:3]),
         *grid(RIGID, EXPLICIT, safety=[0.8], size=CELLS),
         *grid(UNIFORM, EXPLICIT, safety=[0.8], size=CELLS[:2], kn=[1e2]),
-        *grid(SMALL, [NEWMARK, ALPHA, DDA], dt=[1e-5, 2.5e-6], size=CELLS[1:2]),
+        *grid(SMALL, [NEWMARK, ALPHA, DDA], dt=[2e-5, 1e-5, 5e-6], size=CELLS[1:2]),
     ],
     [
         *grid([SMALL, ZONED], EXPLICIT, safety=[0.8, 0.4], size=[LENGTH / 80, LENGTH / 160]),
@@ -224,9 +224,11 @@ CYLINDER = Problem(
     (1 + C_POISSON) / C_YOUNG * ((1 - 2 * C_POISSON) * _A * INNER + _A * OUTER**2 / INNER),
     cylinder,
     [
-        *grid([SMALL, ZONED], STATIC, ratio=[1e-6], size=[1 / 4, 1 / 8, 1 / 16, 1 / 32]),
+        *grid(SMALL, STATIC, ratio=[1e-6], size=[1 / 4, 1 / 8, 1 / 16, 1 / 32]),
+        *grid(ZONED, STATIC, ratio=[1e-6], size=[1 / 4, 1 / 8, 1 / 16]),
         *grid(SMALL, ADAPTIVE, ratio=[1e-3], size=[1 / 4, 1 / 8, 1 / 16]),
-        *grid(SMALL, [ADAPTIVE, LOCAL], ratio=[1e-6], size=[1 / 4, 1 / 8, 1 / 16]),
+        *grid(SMALL, [ADAPTIVE, LOCAL], ratio=[1e-6], size=[1 / 4, 1 / 8]),
+        *grid(SMALL, ADAPTIVE, ratio=[1e-6], size=[1 / 16]),
     ],
     [
         *grid(SMALL, STATIC, ratio=[1e-6], size=[1 / 48, 1 / 64, 1 / 96]),
@@ -288,7 +290,7 @@ JOINT = Problem(
         *grid([SMALL, ZONED], EXPLICIT, safety=[0.8], size=J_CELLS[:3]),
         *grid(RIGID, EXPLICIT, safety=[0.8], size=J_CELLS),
         *grid(UNIFORM, EXPLICIT, safety=[0.8], size=J_CELLS[:2], kn=[1e2]),
-        *grid(SMALL, [NEWMARK, ALPHA], dt=[1e-4, 2.5e-5], size=J_CELLS[:1]),
+        *grid(SMALL, [NEWMARK, ALPHA], dt=[2e-4, 1e-4, 5e-5], size=J_CELLS[:1]),
     ],
     [
         *grid([SMALL, ZONED], EXPLICIT, safety=[0.8, 0.4], size=J_CELLS),
