@@ -40,7 +40,7 @@ ARROWS = {
     "constraints": BASE | {"model", "state"},
     "loads": BASE | {"model", "state"},
     "compile": BASE | NUMERIC | {"scene"},
-    "integrate": BASE,
+    "integrate": BASE | {"kernels"},  # linear algebra; nothing of blocks and contacts
     "integrate.system": BASE | NUMERIC,  # and what belongs to it: what integrators see
     "results": BASE | {"model", "state"},
     "readout": BASE | {"model", "state", "contact", "integrate", "results", "description"},
@@ -58,7 +58,7 @@ LAZY = {
     "scene": {"scipy", "gmsh", "meshio", "skfem", "pyvista", "vtkmodules", "manifold3d"},
     "blocks": {"scipy", "skfem"},
     "contact": {"scipy"},
-    "integrate": {"scipy", "pyamg"},
+    "integrate": {"scipy", "pyamg", "sksparse", "pypardiso"},
     "results": {"scipy", "pyvista", "vtkmodules", "h5py", "matplotlib"},
     "compile": {"scipy"},
     "simulation": {"scipy", "pyvista", "numpy"},

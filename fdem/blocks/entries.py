@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fdem.blocks import recovery
-from fdem.blocks.zoneforces import elasticity, tensors
 
 if TYPE_CHECKING:
     from fdem.blocks.zoned import ZonedBlocks
@@ -19,11 +18,11 @@ __all__ = [
     "nothing",
     "of_arms",
     "of_blocks",
+    "of_pairs",
     "same",
     "turn",
     "turn_on",
     "zone_mass",
-    "zone_tangent",
 ]
 
 Array = Any
@@ -36,12 +35,15 @@ class Additive:
     dofs: slice
     coords: slice
     width = 3  # unknowns that belong together
+    steady = True  # the mass does not depend on q
 
     def groups(self) -> Array:
         """Unknowns (m, width) that belong together: those of a block, or of a gridpoint."""
         return np.arange(self.dofs.start, self.dofs.stop).reshape(-1, self.width)
 
-    steady = True  # the mass does not depend on q
+    def theory(self, row: int, q: Array) -> Array | None:
+        """None: the unknowns are the theory's."""
+        return None
 
     def shift(self, q: Array, d: Array) -> None:
         """Move `q` by the increment `d` (n_dofs,)."""
@@ -95,6 +97,13 @@ def of_blocks(first: Array, matrices: Array) -> Entries:
     rows = np.broadcast_to(place[:, :, None], matrices.shape)
     columns = np.broadcast_to(place[:, None, :], matrices.shape)
     return rows.ravel(), columns.ravel(), matrices.ravel()
+
+
+def of_pairs(first: int, row: Array, column: Array, blocks: Array) -> Entries:
+    """Entries of 3x3 `blocks` (n, 3, 3) between gridpoints `row` and `column` (n,), unknowns counted from `first`."""
+    rows = np.broadcast_to((first + 3 * row)[:, None, None] + np.arange(3)[:, None], blocks.shape)
+    columns = np.broadcast_to((first + 3 * column.astype(np.int64))[:, None, None] + np.arange(3), blocks.shape)
+    return rows.ravel(), columns.ravel(), blocks.ravel()
 
 
 def same(first: int, dofs: slice) -> Entries:
@@ -154,35 +163,3 @@ def zone_mass(blocks: ZonedBlocks) -> Entries:
             parts.append(of_blocks(first, full[None]))
     rows, columns, values = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     return rows, columns, values
-
-
-def zone_tangent(blocks: ZonedBlocks, x: Array) -> Entries:
-    """Derivative of the internal forces of zoned blocks at the positions `x` (n_gp, 3) [N/m].
-
-    With shape gradients g, ``K_ab = V ((g_a.S g_b) 1 + F D F^T)``, ``D = lam g_a g_b^T + mu (g_b g_a^T + g_a.g_b 1)``.
-    Blocks of small strain take the reference stiffness turned by their frame; what is left out is of the order of the
-    strain.
-    """
-    F = blocks.deformation(x)
-    lam, mu, large = (values[blocks.zone_block] for values in (blocks.lam, blocks.mu, blocks.large))
-    S = elasticity(0.5 * (np.swapaxes(F, 1, 2) @ F - np.eye(3)), lam, mu)
-    if blocks.stress0 is not None:
-        S += tensors(blocks.stress0)
-    if not large.all():
-        turned = recovery.frames(blocks, x)
-        F = np.where(large[:, None, None], F, turned)
-        S = np.where(large[:, None, None], S, 0.0)
-    inner = blocks.gradients.reshape(-1, 3, 3)
-    g = np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
-    volume = blocks.zone_volume
-    dot = np.einsum("eai,ebi->eab", g, g)
-    pressed = np.einsum("eai,eij,ebj->eab", g, S, g)
-    moved = np.einsum("eij,eaj->eai", F, g)  # F g_a
-    K = np.einsum("e,eai,ebj->eaibj", volume * lam, moved, moved)
-    K += np.einsum("e,ebi,eaj->eaibj", volume * mu, moved, moved)
-    K += np.einsum("e,eab,eij->eaibj", volume * mu, dot, F @ np.swapaxes(F, 1, 2))
-    K += np.einsum("e,eab,ij->eaibj", volume, pressed, np.eye(3))
-    place = blocks.dofs.start + 3 * blocks._nodes[:, :, None].astype(np.int64) + np.arange(3)
-    rows = np.broadcast_to(place[:, :, :, None, None], K.shape)
-    columns = np.broadcast_to(place[:, None, None, :, :], K.shape)
-    return rows.ravel(), columns.ravel(), K.ravel()

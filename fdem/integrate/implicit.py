@@ -137,7 +137,8 @@ class _Implicit:
             if self._h < dt * 0.5**HALVINGS:
                 raise ConvergenceError(
                     f"step {system.state.step}, t = {system.state.t:.6g} s: no convergence in {self.max_iterations} "
-                    f"iterations even with dt = {h:.3g} s; residuals {told(self.history)}; {self._culprit}"
+                    f"iterations even with dt = {h:.3g} s; residuals {told(self.history)}; {self._culprit}",
+                    self.history,
                 )
         system.state.step += 1
 
@@ -224,10 +225,10 @@ class _Implicit:
                 break
             try:
                 A = trial.assembler.effective(cm, rule.gamma / (rule.beta * h), h)
-                change = self.linear.solve(A, r / (1.0 - rule.alpha_f), trial.assembler)
+                change = self.linear.solve(A, r / (1.0 - rule.alpha_f), trial.assembler, self.tolerance / ratio)
             except ConvergenceError:
                 break
-            floor = trial.round_off(a)
+            floor = trial.round_off(r, ratio)
             change *= min(share, FAR / max(trial.relative_motion(change), FAR))
             trial.displace_further(change)
             r, a = self._residual(start)
@@ -257,7 +258,7 @@ class Newmark(_Implicit):
     max_iterations : int, optional
         Newton iterations before the step is halved.
     solver : str, optional
-        "auto", "direct", "cg" or "amg".
+        "auto", "direct", "cg", "amg", "cholmod" or "pardiso"; `describe` tells what was chosen and used.
 
     Raises
     ------

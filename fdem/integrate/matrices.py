@@ -12,6 +12,9 @@ __all__ = ["Assembler", "projector"]
 
 Array = Any
 
+SMALL = 6000  # unknowns up to which sparse LU is used, which minds no asymmetry
+ODD = 1e-3  # part of the tangent of contacts that may be asymmetric and left out: Newton's method still gains 10^3
+
 
 class Assembler:
     """Matrices of a system over its unknowns.
@@ -28,6 +31,8 @@ class Assembler:
         self.groups = [batch.groups() for batch in system.model.batches]
         self._steady = all(batch.steady for batch in system.model.batches)
         self._mass: Any = None
+        self._blocked = len(system.model.batches) == 1 and system.model.batches[0].in_place
+        self.symmetric = True  # whether the last matrix was, but for a part that Newton's method can do without
         self.stiffest = 0.0  # largest stiffness of a gridpoint in the last matrix [N/m]
 
     def mass(self) -> Any:
@@ -51,31 +56,47 @@ class Assembler:
         extra : (n, n) scipy sparse matrix, optional
             Added.
         """
-        from scipy.sparse import coo_matrix
-
         system, state = self.system, self.system.state
-        inner = [batch.tangent(state.q, state.x) for batch in system.model.batches]
-        in_place = [part[2] for part, batch in zip(inner, system.model.batches, strict=True) if batch.in_place]
-        self.stiffest = max((float(np.abs(values).max(initial=0.0)) for values in in_place), default=0.0)
-        forces = state.f_gp if system.f_load is None else state.f_gp + system.f_load
-        for batch in system.model.batches:
-            rows, columns, values = batch.geometric(state.q, forces)
-            inner.append((rows, columns, -values))
-        K = coo_matrix(_joined(inner), shape=(self.n, self.n)).tocsr()
+        self.symmetric, self.stiffest = True, 0.0
+        K = self._inner()
         outer = self._at_gridpoints(cc, dt)
         if outer is not None:
             self.stiffest = max(self.stiffest, float(np.abs(outer.diagonal()[: state.x.size]).max(initial=0.0)))
             P = self.placement(turns=outer.shape[0] > state.x.size)
-            K = K + P.T @ outer @ P
+            K = K + self._shaped(P.T @ outer @ P)
         if cm:
-            K = K + cm * self.mass()
+            K = K + cm * self._shaped(self.mass())
         if cc and system.rate is not None:
             from scipy.sparse import diags
 
-            K = K + self.mass() @ diags(np.broadcast_to(np.asarray(cc * system.rate), (self.n,)))
+            K = K + self._shaped(self.mass() @ diags(np.broadcast_to(np.asarray(cc * system.rate), (self.n,))))
         if extra is not None:
-            K = K + extra
-        return self.constrained(K.tocsr())
+            K = K + self._shaped(extra)
+        return self.constrained(K)
+
+    def _shaped(self, A: Any) -> Any:
+        """`A` by rows, of 3x3 blocks where all unknowns are places of gridpoints."""
+        return A.tobsr((3, 3)) if self._blocked else A.tocsr()
+
+    def _inner(self) -> Any:
+        """Stiffness of the blocks themselves, geometric terms of their placement included."""
+        from scipy.sparse import bsr_matrix, coo_matrix
+
+        system, state = self.system, self.system.state
+        if self._blocked:
+            (batch,) = system.model.batches
+            blocks = batch.pattern.blocks(state.x)
+            self.stiffest = float(np.abs(blocks).max(initial=0.0))
+            return bsr_matrix((blocks, batch.pattern.column, batch.pattern.start), shape=(self.n, self.n))
+        parts = [batch.tangent(state.q, state.x) for batch in system.model.batches]
+        in_place = [part[2] for part, batch in zip(parts, system.model.batches, strict=True) if batch.in_place]
+        self.stiffest = max((float(np.abs(values).max(initial=0.0)) for values in in_place), default=0.0)
+        forces = state.f_gp if system.f_load is None else state.f_gp + system.f_load
+        for batch in system.model.batches:
+            rows, columns, values = batch.geometric(state.q, forces)
+            self.symmetric &= not values.any()
+            parts.append((rows, columns, -values))
+        return coo_matrix(_joined(parts), shape=(self.n, self.n)).tocsr()
 
     def joints(self) -> Any:
         """Stiffness (n, n) of all joints as if they were closed and did not slip, scipy CSR."""
@@ -114,6 +135,16 @@ class Assembler:
         inner = [batch.tangent(state.q, state.x) for batch in self.system.model.batches if batch.has_internal]
         return coo_matrix(_joined(inner), shape=(self.n, self.n)).tocsr() if inner else None
 
+    def _even_out(self, blocks: Array) -> None:
+        """Make the tangent of contacts symmetric where it nearly is and there is much to solve; in place."""
+        turned = np.swapaxes(blocks, 1, 2)
+        odd = float(np.abs(blocks - turned).max(initial=0.0))
+        if odd > ODD * float(np.abs(blocks).max(initial=0.0)):
+            self.symmetric = False
+        elif self.n > SMALL:
+            blocks += turned
+            blocks *= 0.5
+
     def placement(self, turns: bool = False) -> Any:
         """``P`` (3 n_gp, n) of ``xdot = P v``, scipy CSR; with `turns` the unknowns themselves below."""
         from scipy.sparse import coo_matrix, identity, vstack
@@ -134,6 +165,7 @@ class Assembler:
         rows, cols, values = [], [], []
         if system.contacts is not None and system.contacts.n_patches:
             gp, blocks = tangents.tangent(system.contacts, state.x, dt)
+            self._even_out(blocks.reshape(len(gp), 21, 21))
             dof = (3 * gp[:, :, None] + np.arange(3)).reshape(len(gp), 21)
             rows.append(np.repeat(dof, 21, axis=1).ravel())
             cols.append(np.tile(dof, (1, 21)).ravel())
@@ -142,6 +174,8 @@ class Assembler:
             entries = load.tangent(state.t, state.x, cc)
             if entries is not None:
                 first, second, block = entries
+                same = (first == second).all() and (np.abs(block - np.swapaxes(block, 1, 2)) == 0.0).all()
+                self.symmetric &= bool(same)
                 rows.append(np.broadcast_to(3 * first[:, None, None] + np.arange(3)[:, None], block.shape).ravel())
                 cols.append(np.broadcast_to(3 * second[:, None, None] + np.arange(3), block.shape).ravel())
                 values.append(block.ravel())
@@ -150,6 +184,7 @@ class Assembler:
             first, second, rates = sphere_tangents.tangent(system.particles, len(state.x))
             rows, cols, values = [*rows, first], [*cols, second], [*values, -rates]
             size += self.n
+            self.symmetric = False
         if not rows:
             return None
         entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))
@@ -159,12 +194,30 @@ class Assembler:
         """``N^T K N + s (1 - N)^T (1 - N)`` with the projector N on what is free, s of the size of K's diagonal."""
         from scipy.sparse import identity
 
-        if not self.system.constraints.any:
+        constraints = self.system.constraints
+        if not constraints.any:
             return K
-        N = projector(self.system.constraints, self.n)
-        held = identity(self.n, format="csr") - N
         scale = float(np.abs(K.diagonal()).mean()) or 1.0
+        if not len(constraints.oblique_rows) and not constraints.coupled:
+            return self._masked(K, scale)
+        N = projector(constraints, self.n)
+        held = identity(self.n, format="csr") - N
         return (N.T @ K @ N + scale * (held.T @ held)).tocsr()
+
+    def _masked(self, K: Any, scale: float) -> Any:
+        """K with rows and columns of what is held left out, but for `scale` on the diagonal; in place."""
+        from scipy.sparse import diags
+
+        free = np.ones(self.n)
+        free[self.system.constraints.held] = 0.0
+        row = np.repeat(np.arange(len(K.indptr) - 1), np.diff(K.indptr))
+        if K.data.ndim == 3:
+            by_gridpoint = free.reshape(-1, 3)
+            K.data *= by_gridpoint[row][:, :, None]
+            K.data *= by_gridpoint[K.indices][:, None, :]
+        else:
+            K.data *= free[row] * free[K.indices]
+        return K + self._shaped(diags(scale * (1.0 - free)).tocsr())
 
 
 def projector(constraints: Any, n: int) -> Any:

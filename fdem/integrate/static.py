@@ -20,6 +20,7 @@ Array = Any
 
 TRUST = 1.0  # first pseudo-time step: joints resist as if they were closed and held
 LOOSE = 1e-6  # part of a block's stiffness on all its joints that holds what no joint holds
+MOST_TRUST = 1e12  # what nothing holds is held by so little of the joints' stiffness in the end
 GROWTH = 4.0  # of the pseudo-time step after an iteration that brought the residual down
 MOTION = 1e-2  # of the smallest block's size: longest motion in an iteration, so that contacts are not jumped over
 CLIMB = 2.0  # growth of the residual that an iteration may bring before it is shortened
@@ -40,7 +41,7 @@ class Static:
     max_iterations : int, optional
         Iterations of a load step before it is halved.
     solver : str, optional
-        "auto", "direct", "cg" or "amg".
+        "auto", "direct", "cg", "amg", "cholmod" or "pardiso"; `describe` tells what was chosen and used.
 
     Raises
     ------
@@ -79,8 +80,15 @@ class Static:
         system.fictitious = True
         self.trial = Trial(system)
         self.step_length = 1.0
-        self._inertia = self.trial.reference_stiffness()
+        self.trial.refuse_free()
+        self._hold()
+        self.notes = []
         system.stale = False
+
+    def _hold(self) -> None:
+        """Stiffness that holds what no joint holds; spheres, whose contacts are not known to `joints`, altogether."""
+        share = np.where(self.trial.round_owners(), 1.0, LOOSE)
+        self._inertia = share * self.trial.reference_stiffness()
 
     def take_turns(self) -> list[Any]:
         """Rotation vectors since last asked, of the batches that turn."""
@@ -88,7 +96,7 @@ class Static:
 
     def refresh(self, system: Any) -> None:
         """Find the reference stiffness again after contacts have changed."""
-        self._inertia = self.trial.reference_stiffness()
+        self._hold()
         system.stale = False
 
     def limit(self, system: Any) -> float:
@@ -103,14 +111,17 @@ class Static:
             part = min(part, left)
             if self._attempt(system, start, t + dt * (1.0 - left + part), left, part):
                 left -= part
-                part *= 2.0
+                part = min(2.0 * part, 1.0 / self.steps)
                 continue
             part *= 0.5
             if part < 0.5**HALVINGS / self.steps:
                 raise ConvergenceError(
                     f"no equilibrium found: {1.0 - left:.0%} of the load step were in balance; the last residuals are "
-                    f"{told(self.history)} of the largest force, {self._culprit}"
+                    f"{told(self.history)} of the largest force, {self._culprit}",
+                    self.history,
                 )
+        loose = self.trial.loose()
+        self.notes = [f"nothing holds {', '.join(map(repr, loose))} in some direction"] if loose else []
         system.state.step += 1
 
     def _attempt(self, system: Any, start: Array, t: float, left: float, part: float) -> bool:
@@ -153,10 +164,10 @@ class Static:
                     continue
                 self.iterations = iteration
                 return True
-            held = (diags(self._inertia * LOOSE) + trial.assembler.joints()) / trust
+            held = (diags(self._inertia) + trial.assembler.joints()) / trust
             A = trial.assembler.effective(0.0, 0.0, 0.0, held)
-            floor = trial.round_off(None)
-            change = self.linear.solve(A, r, trial.assembler, static=True)
+            floor = trial.round_off(r, ratio)
+            change = self.linear.solve(A, r, trial.assembler, self.tolerance / ratio, static=True)
             change *= min(1.0, MOTION / max(trial.relative_motion(change), 1e-300))
             trial.displace_further(change)
             trial.find_contacts()
@@ -169,7 +180,10 @@ class Static:
                 trial.displace_further(-change)
                 r = self._unbalanced(rest)
                 ratio = trial.residual_ratio(r, None)
-            trust *= max(GROWTH, before / max(ratio, 1e-300)) if ratio <= before else 1.0 / GROWTH
-            trust = min(trust, 1e16)
+            if ratio <= before:
+                trust *= max(GROWTH, before / max(ratio, 1e-300))
+            elif ratio > CLIMB * before:
+                trust /= GROWTH
+            trust = min(trust, MOST_TRUST)
         self._culprit = trial.worst(r)
         return False

@@ -281,6 +281,10 @@ class System(Pace):
                 batch.push(self.state.q, self.state.v, speed)
         return speed
 
+    def bedded(self) -> list[np.ndarray]:
+        """Gridpoints of every elastic support."""
+        return [load.gp for load in self.loads if isinstance(load, Bedding)]
+
     def stiffened(self) -> bool:
         """Whether contact stiffness grew by 2 % of its block's largest anywhere, or halved in all, since last asked."""
         if self.particles is not None and self.particles.stiffened(self._speeds()):

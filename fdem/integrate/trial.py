@@ -15,6 +15,7 @@ __all__ = ["Trial"]
 
 Array = Any
 
+LOOSE = 1e-9  # of the stiffness of a block on all its joints: what resists less does not resist
 ROUND_OFF = 8 * np.finfo(float).eps  # of the largest coordinate: what positions and the gaps between them end at
 
 
@@ -159,6 +160,9 @@ class Trial:
         end = d / h
         for motion in self.constraints.motions:
             end[motion.dofs] = self.constraints.velocity(motion, self.state.t)
+        for group in self.constraints.coupled:
+            if group.moving and not any(condition.displacement for condition in group.conditions):
+                group.prescribe(end, self.state.q, self.system.q0, self.state.t, h)
         return end
 
     # how far from balance
@@ -176,20 +180,75 @@ class Trial:
         return owner
 
     def reference_stiffness(self) -> Array:
-        """Stiffness (n_dofs,) of every unknown: its mass times the squared frequency of its block on all its joints.
+        """Stiffness (n_dofs,) of every unknown: its mass times the squared frequency of its block on all its joints."""
+        diagonal = self.assembler.mass().diagonal() * self.system.block_frequencies()[self.owners()]
+        return np.where(diagonal > 0.0, diagonal, 1.0)
+
+    def round_owners(self) -> Array:
+        """Which unknowns (n_dofs,) belong to blocks with spheres, whose contacts are no patches."""
+        particles = self.system.particles
+        mine = np.zeros(self.model.n_blocks, dtype=bool)
+        if particles is not None:
+            mine[particles.particles.block] = True
+        return mine[self.owners()]
+
+    def refuse_free(self) -> None:
+        """Refuse blocks that nothing can hold.
 
         Raises
         ------
         SceneError
-            A block that can move touches nothing that could hold it.
+            No chain of contacts leads from a block to one that is held; names it.
         """
-        omega2, owner = self.system.block_frequencies(), self.owners()
-        free = projector(self.constraints, self.n).diagonal() != 0.0
-        loose = np.unique(owner[free & (omega2[owner] == 0.0)])
-        if len(loose):
-            raise SceneError(f"Static: block {self.model.names[loose[0]]!r} is free: no joint or support can hold it")
-        diagonal = self.assembler.mass().diagonal() * omega2[owner]
-        return np.where(diagonal > 0.0, diagonal, 1.0)
+        model, holds = self.model, self.model.fixed.copy()
+        free = projector(self.constraints, self.n)
+        moved = np.ones(self.n) - free.diagonal()
+        holds[self.owners()[moved > 1e-12]] = True
+        for gp in self.system.bedded():
+            holds[model.gp_block[gp]] = True
+        pairs = [np.zeros((0, 2), int)]
+        if self.system.contacts is not None:
+            pairs.append(self.system.contacts.pairs[np.unique(self.system.contacts.patches.pair)])
+        if self.system.particles is not None:
+            pairs.append(self.system.particles.touching())
+        links = np.concatenate(pairs)
+        while len(links):
+            ends = holds[links]
+            news = links[ends[:, 0] != ends[:, 1]]
+            if not len(news):
+                break
+            holds[news] = True
+        if not holds.all():
+            name = model.names[int(np.argmin(holds))]
+            raise SceneError(f"Static: block {name!r} is free: no joint or support can hold it")
+
+    def loose(self) -> list[str]:
+        """Names of blocks that can move as a whole without resistance at the trial, all others held."""
+        from scipy.sparse import coo_matrix
+
+        state, n_blocks = self.state, self.model.n_blocks
+        owner, columns = self.owners(), []
+        for k in range(6):
+            v, unit = np.zeros(self.n), np.zeros((n_blocks, 6))
+            unit[:, k] = 1.0
+            for batch in self.model.batches:
+                batch.launch(state.q, state.x, v, unit[batch.rows, :3], unit[batch.rows, 3:])
+            columns.append(v)
+        values = np.concatenate(columns)
+        place = np.tile(np.arange(self.n), 6), np.concatenate([6 * owner + k for k in range(6)])
+        R = projector(self.constraints, self.n) @ coo_matrix((values, place), shape=(self.n, 6 * n_blocks)).tocsc()
+        K = self.assembler.effective(0.0, 0.0, 0.0)
+        D = self.reference_stiffness()
+        found = []
+        for block in np.flatnonzero(~self.model.fixed):
+            own = R[:, 6 * block : 6 * block + 6]
+            stiff, size = (own.T @ (K @ own)).toarray(), (own.T @ own.multiply(D[:, None])).toarray()
+            values, vectors = np.linalg.eigh(size)
+            kept = vectors[:, values > 1e-9 * values.max(initial=0.0)]
+            kept = kept / np.sqrt(values[values > 1e-9 * values.max(initial=0.0)])
+            if kept.size and np.linalg.eigvalsh(kept.T @ (stiff + stiff.T) @ kept)[0] < LOOSE:
+                found.append(self.model.names[block])
+        return found
 
     def pushed(self, d: Array) -> Array:
         """Motion (n_gp, 3) of gridpoints by the rates or increments `d` (n_dofs,)."""
@@ -217,13 +276,10 @@ class Trial:
             pull = max(pull, _longest(self.pushed(a)))
         return max((b.unbalance(state.q, state.x, r, pushes, pull, None) for b in self.model.batches), default=0.0)
 
-    def round_off(self, a: Array | None) -> float:
-        """Residual ratio that the last bits of positions make of the stiffest gridpoint's force."""
+    def round_off(self, r: Array, ratio: float) -> float:
+        """Residual ratio that the last bits of positions make of the stiffest gridpoint's force; `r` makes `ratio`."""
         force = ROUND_OFF * float(np.abs(self.state.x).max(initial=0.0)) * self.assembler.stiffest
-        r = np.zeros(self.n)
-        for group in self.assembler.groups:
-            r[group[:, :3]] = force / np.sqrt(3.0)
-        return self.residual_ratio(r, a)
+        return force * ratio / max([_longest(r[group[:, :3]]) for group in self.assembler.groups])
 
     def worst(self, r: Array) -> str:
         """Block that the unbalanced forces `r` (n_dofs,) accelerate most, and its largest contact; for messages."""

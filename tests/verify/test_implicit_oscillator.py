@@ -25,7 +25,7 @@ def oscillator(integrator, speed=1e-3):
 
 
 def amplification(rule, wdt):
-    """Amplification matrix of (u, dt v, dt^2 a) of the oscillator ``a = -w^2 u`` (Hughes, The Finite Element Method)."""
+    """Amplification matrix of (u, dt v, dt^2 a) of the oscillator ``a = -w^2 u`` (Hughes 1987, chapter 9)."""
     beta, gamma, alpha_m, alpha_f = rule
     k = wdt * wdt
     left = np.array([[1, 0, -beta], [0, 1, -gamma], [(1 - alpha_f) * k, 0, 1 - alpha_m]])
