@@ -68,6 +68,7 @@ _HOME = {
     "fdem.tuning.result": ("Tuned",),
     "fdem.tuning.tune": ("tune",),
     "fdem.tuning.settings": ("Settings",),
+    "fdem.strength": ("StrengthReduction", "strength_reduction"),
     "fdem.results.history": ("Every", "History"),
     "fdem.results.output": ("Checkpoint", "Frames"),
 }
@@ -115,6 +116,7 @@ __all__ = [
     "Simulation",
     "SolveError",
     "Static",
+    "StrengthReduction",
     "Stress",
     "Support",
     "ToleranceError",
@@ -139,6 +141,7 @@ __all__ = [
     "read",
     "show_log",
     "sphere",
+    "strength_reduction",
     "surface",
     "tet_mesh",
     "tune",

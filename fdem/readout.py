@@ -172,7 +172,7 @@ class Readout:
         table["frame"] = np.zeros((0, 3, 3))
         hard = self.system.hard_table
         if hard is not None:
-            table = dict(hard)
+            table = hard()
         elif contacts is not None:
             table = dict(contacts.table(self.state.x))
         if particles is not None and hard is None:

@@ -49,6 +49,7 @@ ARROWS = {
     "description": BASE | {"model", "state", "contact"},
     "views": BASE | {"model", "state", "results"},
     "checkpoint": BASE | {"model", "state", "contact", "scene"},
+    "strength": BASE | {"scene", "integrate", "simulation"},
     "simulation": BASE | NUMERIC | {"scene", "compile", "integrate", "results"} | FRONT,
     "tuning": BASE | {"scene", "integrate", "simulation"},
 }

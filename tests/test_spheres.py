@@ -378,8 +378,10 @@ def test_spheres_alone_meet_by_an_implicit_rule():
     speeds = []
     for integrator in (fdem.Newmark(dt=5e-7), fdem.Explicit(dt=5e-7)):
         scene, glass = fdem.Scene(gravity=(0, 0, 0)), fdem.Elastic(2800.0, 4.8e10, 0.2)
-        balls = [scene.add(fdem.sphere(R / 10, (0, 0, 0.2001 * k * R)), fdem.Rigid(), glass, velocity=(0, 0, 10 * (1 - k)))
-                 for k in range(2)]  # fmt: skip
+        balls = [
+            scene.add(fdem.sphere(R / 10, (0, 0, 0.2001 * k * R)), fdem.Rigid(), glass, velocity=(0, 0, 10 * (1 - k)))
+            for k in range(2)
+        ]
         scene.joint(fdem.Hertz(friction=0))
         sim = simulation(scene, integrator)
         sim.run(time=2.5e-5)

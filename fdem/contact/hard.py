@@ -17,13 +17,15 @@ from fdem.kernels import patches as kernels
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
 
-__all__ = ["NONE", "Points", "Problem", "Solver", "contact_points", "point_rows", "table"]
+__all__ = ["NONE", "Points", "Problem", "Solver", "contact_points", "point_rows", "table", "wear"]
 
 Array = NDArray[np.float64]
 
 MERGE = 1e-3  # of the smaller block's size: points of a pair closer than that are one
 NEAR = 0.05  # of that size: how far a point may move and take its impulse along
 SAME_NORMAL = 1e-4  # loss of length of the mean of unit normals up to which they count as one
+MOVES = 1e-4  # of the largest velocity without contact: more is motion, less is what solvers leave
+AT_LIMIT = 1e-5  # of a strength: how near to it counts as reached
 UNALIGNED = 0.99  # -n_a.n_f below which patches of a pair share one normal (CONTACT.md 3.6)
 
 
@@ -149,18 +151,42 @@ def contact_points(c: Contacts, x: Array) -> Points:
     points = np.repeat(weight[:, None], 3, axis=1)
     w = np.zeros((3 * len(patch), 7))
     kernels.weights_at(p.gp[patch], c._thick[patch], points, x, w)
-    values = np.zeros((len(patch), 4))
+    values = np.zeros((len(patch), 6))
     for k in range(len(c.laws)):
         mine = p.law[patch] == k
         if mine.any():
             values[mine] = _hard(c, k)[p.prop[patch[mine]]]
-    values[p.memory_old[3 * patch, 3] <= 0.0, 1:3] = 0.0  # what holds together was lost
+    lost = p.memory_old[3 * patch, 3] <= 0.0
+    values[lost, :2], values[lost, 2] = values[lost, 4:], 0.0
     pair = p.pair[patch]
     return Points(
         slave=c.slave[pair], master=c.master[pair], gp=p.gp[patch], w=w[::3].copy(), frame=frames(normal[patch]),
-        gap=gap, area=area[patch] / np.maximum(count[patch], 1), law=values, position=position, size=size[patch],
-        patch=patch, joint=p.joint[patch], spin=np.full((len(patch), 2), -1), arm=np.zeros((len(patch), 2, 3)),
+        gap=gap, area=area[patch] / np.maximum(count[patch], 1), law=values[:, :4].copy(), position=position,
+        size=size[patch], patch=patch, joint=p.joint[patch], spin=np.full((len(patch), 2), -1),
+        arm=np.zeros((len(patch), 2, 3)),
     )  # fmt: skip
+
+
+def wear(c: Contacts, points: Points, force: Array, u: Array, speed: float) -> None:
+    """Bonds of patches whose strength is reached anywhere are lost.
+
+    Parameters
+    ----------
+    force : (n, 3) array
+        On the slave, in the frames of the points [N].
+    u : (n, 3) array
+        Relative velocities [m/s].
+    speed : float
+        Largest relative velocity without contact [m/s]: what is much slower did not move.
+    """
+    cohesion, tension = (points.law[:, k] * points.area for k in (1, 2))
+    limit = points.law[:, 0] * force[:, 0] + cohesion
+    sheared = (np.hypot(force[:, 1], force[:, 2]) >= (1.0 - AT_LIMIT) * limit) & (
+        np.hypot(u[:, 1], u[:, 2]) > MOVES * speed
+    )
+    torn = (force[:, 0] <= -(1.0 - AT_LIMIT) * tension) & (u[:, 0] > MOVES * speed)
+    gone = points.patch[(points.patch >= 0) & (cohesion + tension > 0.0) & (sheared | torn)]
+    c.patches.memory_old[3 * gone[:, None] + np.arange(3), 3] = 0.0
 
 
 def table(points: Points, force: Array, slip: Array) -> dict[str, Any]:

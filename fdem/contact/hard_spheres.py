@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fdem.contact.hard import Points
 from fdem.contact.table import frames
+from fdem.errors import UnsupportedError
 
 if TYPE_CHECKING:
     from fdem.contact.spheres import SphereContacts
@@ -80,6 +81,15 @@ def _frames(normal: Array) -> Array:
 
 
 def _laws(c: SphereContacts, rule: Any) -> Array:
-    """Friction, cohesion, tension and restitution (n, 4) of joint rules."""
+    """Friction, cohesion, tension and restitution (n, 4) of joint rules.
+
+    Raises
+    ------
+    UnsupportedError
+        A law has rolling or twisting resistance.
+    """
+    for k in np.unique(rule):
+        if c.table.laws[k].rolling > 0.0 or c.table.laws[k].twisting > 0.0:
+            raise UnsupportedError(f"joint law {c.table.laws[k].name!r}: ContactDynamics has no rolling or twisting")
     rows = np.array([[law.tan, 0.0, 0.0, law.restitution] for law in c.table.laws]).reshape(-1, 4)
     return rows[rule]

@@ -20,15 +20,18 @@ __all__ = ["Problem", "Rows", "Solver"]
 
 Array = NDArray[np.float64]
 
-SOFT, STIFF = 10.0, 1e5  # least and largest factor rho over the mass that a point seems to have
+SOFTEST, SOFT, STIFF = 1e-2, 10.0, 1e9  # rho over the mass that a point seems to have: least, first, largest
 GROWTH, SHRINK = 2.0, 0.3  # of rho after a proximal step that was easy, or failed
 EASY = 5  # Newton iterations of an easy proximal step
-INNER = 12  # most iterations of a proximal step
+INNER = 8, 20  # most iterations of a proximal step, and of a convex one
+FIRST = 1e5  # largest rho to begin with: the smaller the residual, the larger
 ACCURACY = 0.1  # of the residual: to this a proximal step is solved
 SHORTENINGS = 5  # of a Newton step
 SLOW = 0.8  # a convex step that leaves more of the residual makes way for Coulomb's law
 PATIENCE = 4  # proximal steps that fail before Gauss-Seidel is asked to help
 MARGIN = 0.001  # of the tolerance is what iterations aim at, so that blocks at rest need none in the steps that follow
+KEEP = 0.1  # up to this part of the tolerance impulses are kept: more would add up to motion, step by step
+STILL = 0.01  # the same after a step that stopped a motion: its impulses would start the opposite one
 SWEEPS = 100  # of Gauss-Seidel when it helps
 
 
@@ -66,6 +69,8 @@ class Problem:
         Relative velocities over all unknowns, and over the motions that nothing prescribes.
     A : (n_dofs, n_dofs) scipy CSC matrix
         Masses, and stiffness over the step.
+    mass : (n_dofs,) array
+        Diagonal of the masses alone: how heavy points seem.
     inverse : callable
         ``f -> A^-1 f``, zero where velocities are given.
     answers : callable
@@ -81,6 +86,7 @@ class Problem:
     rows: Rows
     free_rows: Rows
     A: Any
+    mass: Array
     inverse: Callable[[Array], Array]
     answers: Callable[[], Rows]
     free: Array
@@ -89,12 +95,14 @@ class Problem:
     cohesion: Array
     tension: Array
     rho: Array = field(init=False)
+    speed: float = field(init=False)
 
     def __post_init__(self) -> None:
         self.rho = np.zeros(len(self.bias))
-        cones.effective_masses(*self.free_rows, self.A.diagonal(), self.rho)
+        cones.effective_masses(*self.free_rows, self.mass, self.rho)
         # a point between bodies whose motion is given has no say
         self.rho[self.rho == 0.0] = self.rho.max(initial=0.0) or 1.0
+        self.speed = 0.0  # set by the solver, when bias and friction are
 
     def velocity(self, r: Array) -> Array:
         """Velocities (n_dofs,) under the impulses `r` (n, 3)."""
@@ -116,11 +124,13 @@ class Problem:
         return self.friction * np.hypot(u[:, 1], u[:, 2])
 
     def residual(self, r: Array, v: Array) -> tuple[float, int]:
-        """Largest ``|r - P(r - rho u)|`` over the mean pressing impulse, and its point."""
-        worst, where, mean = cones.natural_residual(
+        """Largest error of an impulse over the mean, or of a velocity over the largest without impulses; and where."""
+        worst, speed, where, mean = cones.natural_residual(
             self.relative(v), self.friction, self.tension, self.cohesion, self.rho, r
         )
-        return (worst / mean if mean > 0.0 else float(worst > 0.0)), int(where)
+        if not speed > 0.0:
+            return float(speed), 0  # not a number stays that
+        return max(worst / mean if mean > 0.0 else 1.0, speed / self.speed), int(where)
 
 
 class _Law:
@@ -144,18 +154,22 @@ class _Law:
         F: Array = p.A @ (x - p.free) - p.push(self.r)
         return F
 
-    def merit(self, x: Array, F: Array) -> float:
-        """Of the convex problem its energy, else the size of what is out of balance."""
-        if self.shift is None:
-            return float(F @ (F / self._diagonal))
-        d = x - self.p.free
-        return 0.5 * float(d @ (self.p.A @ d)) + 0.5 * float((np.einsum("ni,ni->n", self.r, self.r) / self.rho).sum())
+    def better(self, before: Array, after: Array, change: Array, share: float) -> bool:
+        """Whether a `share` of a Newton step leaves less out of balance.
+
+        Of the convex problem: whether it did not go too far past the least energy, by the slope along the step (the
+        energy itself is round-off long before the impulses are exact); else the size of what is out of balance.
+        """
+        if self.shift is not None:
+            return float(after @ change) <= 0.5 * abs(float(before @ change))
+        size = [float(F @ (F / self._diagonal)) for F in (before, after)]
+        return size[1] <= (1.0 - 0.2 * share) * size[0]
 
 
-def _pressing(r: Array) -> float:
-    """Mean of the pressing impulses; 0: none presses."""
-    pressing = r[:, 0][r[:, 0] > 0.0]
-    return float(pressing.mean()) if len(pressing) else 0.0
+def _mean(r: Array) -> float:
+    """Mean normal impulse of the points that have one; 0: none has."""
+    size = np.abs(r[:, 0][r[:, 0] != 0.0])
+    return float(size.mean()) if len(size) else 0.0
 
 
 class Solver:
@@ -184,13 +198,17 @@ class Solver:
 
     def solve(self, p: Problem, r: Array) -> tuple[Array, Array, float]:
         """Impulses (n, 3), velocities (n_dofs,) and residual, from impulses `r` to start with."""
+        moving = self.iterations > 0
         self.p, self.iterations, self.sweeps, self.history = p, 0, 0, []
+        given = np.linalg.norm(p.rows.times(p.free), axis=1).max(initial=0.0)
+        p.speed = max(float(given), -float(p.bias.min(initial=0.0))) or 1.0  # else there is nothing to do
         v = p.velocity(r)
         residual, self.worst = p.residual(r, v)
         self.history.append(residual)
         convex = not (p.cohesion.any() or p.tension.any())
-        stiff, failed = float(np.clip(1.0 / max(residual, 1e-300), SOFT, 1e3)), 0
-        goal = self.tolerance if residual <= self.tolerance else MARGIN * self.tolerance
+        stiff, failed = float(np.clip(1.0 / max(residual, 1e-300), SOFT, FIRST)), 0
+        keep = (STILL if moving else KEEP) * self.tolerance
+        goal = keep if residual <= keep else MARGIN * self.tolerance
         while residual > goal and self.iterations < self.most:
             trial, easy = self._proximal(r, v, stiff, residual, convex)
             after, gain = np.inf, np.inf
@@ -205,7 +223,7 @@ class Solver:
                 break
             failed = failed + 1 if easy is None else 0
             if easy is None:
-                convex, stiff = False, max(SHRINK * stiff, 1.0)
+                convex, stiff = False, max(SHRINK * stiff, SOFTEST)
             elif easy:
                 stiff = min(GROWTH * stiff, STIFF)
             self.history.append(residual)
@@ -220,7 +238,7 @@ class Solver:
         """By how much the shift of the convex problem was wrong, as part of the mean impulse."""
         p = self.p
         wrong = p.rho * np.abs(p.shift(after) - p.shift(before))
-        return float(wrong.max(initial=0.0)) / (_pressing(r) or np.inf)
+        return float(wrong.max(initial=0.0)) / (_mean(r) or np.inf)
 
     def _proximal(
         self, r: Array, v: Array, stiff: float, residual: float, convex: bool
@@ -229,26 +247,25 @@ class Solver:
         p = self.p
         law = _Law(p, r, stiff * p.rho, p.shift(v) if convex else None)
         x, F = v.copy(), law.balance(v)
-        value = law.merit(x, F)
-        for iteration in range(INNER + 1):
-            error = float(np.abs(F).max(initial=0.0)) / (_pressing(law.r) or 1.0)
+        most = INNER[convex]
+        for iteration in range(most + 1):
+            error = float(np.abs(F).max(initial=0.0)) / (_mean(law.r) or 1.0)
             if not np.isfinite(error):
                 return None, None
             if error <= max(ACCURACY * min(residual, 1.0), 0.1 * MARGIN * self.tolerance):
                 return law.r, iteration <= EASY
-            if iteration == INNER:
+            if iteration == most:
                 return law.r, None
             factors = self._factor(law.slope, law.rho)
             self.iterations += 1
             change = factors.solve(-F)
-            fall, share = float(F @ change) if convex else -2.0 * value, 1.0
+            share = 1.0
             for _ in range(SHORTENINGS):
-                F = law.balance(x + share * change)
-                after = law.merit(x + share * change, F)
-                if after <= value + 0.1 * share * fall or -fall <= 1e-12 * abs(value):
+                after = law.balance(x + share * change)
+                if law.better(F, after, change, share):
                     break
                 share *= 0.5
-            x, value = x + share * change, after
+            x, F = x + share * change, after
         return None, None
 
     def _factor(self, slope: Array, rho: Array) -> Any:

@@ -32,10 +32,13 @@ class Mobility:
     ----------
     matrix : scipy CSC matrix
         A, with a diagonal in the place of what is constrained.
+    mass : (n,) array
+        Diagonal of M.
     """
 
     def __init__(self, assembler: Any, mass: Any, stiffness: Any, h: float) -> None:
         self.n, self._stiffness = mass.shape[0], stiffness
+        self.mass = mass.diagonal()
         constraints = assembler.system.constraints
         self._free = projector(constraints, self.n) if constraints.any else None
         A = mass if stiffness is None else mass + h * h * stiffness

@@ -58,7 +58,7 @@ class System(Pace):
         self.fictitious = False  # masses are scaled: time and velocities have no meaning of their own
         self.mean_contact: np.ndarray | None = None  # forces of hard contact over the last step, in place of springs
         self.mean_moment: np.ndarray | None = None  # and moments on spheres
-        self.hard_table: dict[str, Any] | None = None
+        self.hard_table: Callable[[], dict[str, Any]] | None = None
         self.a_old: np.ndarray | None = None  # acceleration that implicit steps go on from
         self.given: np.ndarray | None = None  # prescribed increments of the last implicit step
         self.work = 0.0

@@ -197,8 +197,18 @@ def project_cone(z, mu, r, slope):
 
 @kernel
 def natural_residual(u, mu, tension, cohesion, rho, r):
-    """Largest ``|r - P(r - rho u)|`` [N s], the point where it is, and the mean pressing impulse [N s]."""
-    worst, where, mean, count = 0.0, 0, 0.0, 0
+    """How far impulses are from the law.
+
+    Returns
+    -------
+    worst, speed : float
+        Largest ``|r - P(r - rho u)|`` [N s], and largest such error over rho [m/s].
+    where : int
+        Point of the largest speed.
+    mean : float
+        Mean normal impulse of the points that have one [N s].
+    """
+    worst, speed, where, mean, count = 0.0, 0.0, 0, 0.0, 0
     for i in range(len(u)):
         n = max(r[i, 0] - rho[i] * u[i, 0], -tension[i])
         t1, t2 = r[i, 1] - rho[i] * u[i, 1], r[i, 2] - rho[i] * u[i, 2]
@@ -207,12 +217,13 @@ def natural_residual(u, mu, tension, cohesion, rho, r):
         if length > limit:
             t1, t2 = t1 * limit / length, t2 * limit / length
         error = math.sqrt((r[i, 0] - n) ** 2 + (r[i, 1] - t1) ** 2 + (r[i, 2] - t2) ** 2)
-        if not error <= worst:
-            worst, where = error, i
-        if r[i, 0] > 0.0:
-            mean += r[i, 0]
+        worst = max(worst, error)
+        if not error <= speed * rho[i]:
+            speed, where = error / rho[i], i
+        if r[i, 0] != 0.0:
+            mean += abs(r[i, 0])
             count += 1
-    return worst, where, mean / count if count else 0.0
+    return worst, speed, where, mean / count if count else 0.0
 
 
 @kernel
