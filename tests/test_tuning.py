@@ -206,6 +206,22 @@ def test_a_scene_that_is_solved():
     assert found.settings.body.kind != "rigid"  # which does not shorten
 
 
+def test_a_joint_of_given_stiffness_is_not_hard():
+    """A block swings on a joint whose stiffness is a datum, x = v/w sin(w t): no contact dynamics among the integrators."""
+
+    def swing(s):
+        scene = fdem.Scene(gravity=(0, 0, 0))
+        scene.add(fdem.brick((-1, -1, -1), (2, 2, 0)), fdem.Rigid(), fixed=True)
+        stone = fdem.Elastic(density=2000)
+        scene.add(fdem.brick((0, 0, 0), (1, 1, 1)), s.body, stone, name="block", velocity=(0, 0, 0.1))
+        scene.joint(fdem.Bonded(kn=2e7, ks=2e7))
+        return scene
+
+    found = fdem.tune(swing, lambda sim: sim["block"].displacement[2], 0.01, body=fdem.Rigid(), time=0.02)
+    assert found.quantity == pytest.approx(1e-3 * np.sin(2.0), rel=0.01)
+    assert not any(isinstance(run.settings.integrator, fdem.ContactDynamics) for run in found.runs)
+
+
 @pytest.mark.long
 def test_collision_to_a_thousandth():
     """Two spheres (Hertz): the largest force; 0.1 %, by explicit and implicit rules."""

@@ -62,7 +62,7 @@ class Search:
         self.tracks: list[Track] = []
         self.total, self.read = 0.0, set[str]()
         self.value, self.doubt = math.nan, math.inf
-        self.why, self.conflict = "the budget is spent", False
+        self.why, self.conflict, self.unnamed = "the budget is spent", False, False
 
     # ------------------------------------------------------------------------------------------------ single runs
 
@@ -112,12 +112,15 @@ class Search:
     def candidates(self, bodies: list[Any], rules: list[Any], start: dict[str, float | None]) -> None:
         """A track for every body and integrator; those that are never read are not told apart."""
         first = True
-        for body in bodies:
+        for rank, body in enumerate(bodies):
             for rule in rules:
                 if not first and ("body" not in self.read and body is not bodies[0]):
                     continue
                 numbers = self._numbers(body, rule, start)
                 cold = run = self.run(Settings.of(body, rule, **numbers))
+                if hasattr(body, "size") and "size" not in numbers and (size := _coarse(run.sim, body)) is not None:
+                    numbers["size"] = size
+                    run = self.run(Settings.of(body, rule, **numbers))
                 if first or run.cost < SHORT_RUN:
                     run = self.run(run.settings)  # kernels were loaded in the first
                     cold.cost = run.cost
@@ -125,10 +128,14 @@ class Search:
                 counted = {name: value for name, value in numbers.items() if self._counts(name, body, rule)}
                 cold.settings = run.settings = Settings.of(body, rule, **counted)
                 knobs = [Knob(name, value) for name, value in counted.items()]
-                track = Track(knobs, self._runner(body, rule), body is bodies[0])
+                track = Track(knobs, self._runner(body, rule), rank)
                 track.runs[track.base], track.spent = run, run.cost
                 track.begin()
                 self.tracks.append(track)
+        # bodies that nobody named and that the scene cannot have are no model of it
+        model = min((t.rank for t in self.tracks if not t.dead), default=0) if self.unnamed else 0
+        for track in self.tracks:
+            track.trusted = track.rank == model
 
     def _numbers(self, body: Any, rule: Any, start: dict[str, float | None]) -> dict[str, float]:
         """Where the numbers of a body and an integrator begin."""
@@ -161,8 +168,9 @@ class Search:
 
     # -------------------------------------------------------------------------------------------------- the limit
 
-    def find(self, bodies: list[Any], rules: list[Any], start: dict[str, float | None]) -> Tuned:
-        """Limit first, then the cheapest settings near it."""
+    def find(self, bodies: list[Any], rules: list[Any], start: dict[str, float | None], unnamed: bool = False) -> Tuned:
+        """Limit first, then the cheapest settings near it; `unnamed`: nobody named the bodies."""
+        self.unnamed = unnamed
         try:
             self.candidates(bodies, rules, start)
             if not any(track.trusted and not track.dead for track in self.tracks):
@@ -357,6 +365,14 @@ class Search:
             self.total,
             self.runs,
         )
+
+
+def _coarse(sim: Any, body: Any) -> float | None:
+    """Half the smallest extent of the blocks of a body [m], where there are any to look at."""
+    scene = sim if isinstance(sim, Scene) else getattr(sim, "scene", None)
+    blocks = [b for b in scene.blocks if type(b.body) is type(body)] if isinstance(scene, Scene) else []
+    extents = [float(min(high - low for low, high in zip(*b.shape.bounds, strict=True))) for b in blocks]
+    return 0.5 * median(extents) if extents else None
 
 
 def _closure(sim: Any) -> float | None:

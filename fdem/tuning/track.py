@@ -106,12 +106,12 @@ class Track:
         Numbers that can be refined.
     run : callable
         ``run({name: number}) -> Run``.
-    trusted : bool
-        Whether its limit is that of the model asked for.
+    rank : int
+        Place of the body among those to choose from; `trusted` says whether its limit is that of the model asked for.
     """
 
-    def __init__(self, knobs: list[Knob], run: Callable[[dict[str, float]], Run], trusted: bool) -> None:
-        self.knobs, self._run, self.trusted = knobs, run, trusted
+    def __init__(self, knobs: list[Knob], run: Callable[[dict[str, float]], Run], rank: int) -> None:
+        self.knobs, self._run, self.rank, self.trusted = knobs, run, rank, False
         self.runs: dict[Levels, Run] = {}
         self.base: Levels = tuple(0.0 for _ in knobs)
         self.lines = [_Line() for _ in knobs]

@@ -51,7 +51,8 @@ def tune(
         Formulations to choose from. The first is the model that is asked for; another one is chosen if it gives the
         same. None: zoned, linear strain, uniform strain, rigid, where the factory reads ``s.body``.
     integrator : integrator or list of integrators, optional
-        To choose from. None: explicit, implicit and non-smooth ones if `time` is given, otherwise those for rest.
+        To choose from. None: explicit and implicit ones if `time` is given, contact dynamics too if `kn` is,
+        otherwise those for rest.
     size : float, optional
         A coarse size of zones or pieces to begin with [m]. None: that of the body, or half a block.
     dt : float, optional
@@ -99,9 +100,11 @@ def tune(
         if value is not None and not (isinstance(value, (int, float)) and 0.0 < value < math.inf):
             raise SceneError(f"tune: {name} = {value!r}, allowed is a positive number")
     bodies = _listed(body) or [Zoned(), LinearStrain(), UniformStrain(), Rigid()]
-    rules = _listed(integrator) or _rules(time, dt)
+    rules = _listed(integrator) or _rules(time, dt, kn)
     start = {"size": size, "dt": dt, "kn": kn, "ratio": ratio}
-    return Search(scene_factory, quantity, float(tolerance), time, scale, budget, max_runs).find(bodies, rules, start)
+    return Search(scene_factory, quantity, float(tolerance), time, scale, budget, max_runs).find(
+        bodies, rules, start, unnamed=body is None
+    )
 
 
 def _listed(choice: Any) -> list[Any]:
@@ -110,8 +113,10 @@ def _listed(choice: Any) -> list[Any]:
     return list(choice) if isinstance(choice, Sequence) else [choice]
 
 
-def _rules(time: float | None, dt: float | None) -> list[Any]:
+def _rules(time: float | None, dt: float | None, kn: float | None) -> list[Any]:
     if time is None:
         return [Static(), Relaxation(damping=Adaptive())]
     step = dt or time / 50.0
-    return [Explicit(), Newmark(step), GeneralizedAlpha(step), ContactDynamics(step)]
+    # hard contact is another model where the stiffness of joints is a datum
+    hard = [] if kn is None else [ContactDynamics(step)]
+    return [Explicit(), Newmark(step), GeneralizedAlpha(step), *hard]
