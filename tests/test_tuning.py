@@ -207,7 +207,7 @@ def test_a_scene_that_is_solved():
 
 
 def test_a_joint_of_given_stiffness_is_not_hard():
-    """A block swings on a joint whose stiffness is a datum, x = v/w sin(w t): no contact dynamics among the integrators."""
+    """A block swings on a joint whose stiffness is a datum, x = v/w sin(w t): no hard contact is tried."""
 
     def swing(s):
         scene = fdem.Scene(gravity=(0, 0, 0))
