@@ -1,10 +1,10 @@
 """Run time against error: problems with known answers over formulation x integrator x resolution.
 
-    python benchmarks/precision.py [--full] [--no-tune] [--only NAME ...] [--repeats N] [--report]
+    python benchmarks/precision.py [--full] [--tune | --no-tune] [--only NAME ...] [--repeats N] [--report]
 
 Writes results/precision.json, the pictures results/precision_*.png, and the section of README.md that shows them.
-Then `fdem.tune` is run against the cheapest settings found (--no-tune leaves it out). --full adds finer settings;
---report draws again from the JSON file.
+Then `fdem.tune` is run against the cheapest settings found (--no-tune leaves it out, --tune does it alone). --full adds
+finer settings; --report draws again from the JSON file.
 """
 
 from __future__ import annotations
@@ -69,14 +69,17 @@ def main() -> None:
     """Measure, write, draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--full", action="store_true", help="finer settings too")
+    parser.add_argument("--tune", action="store_true", help="run fdem.tune alone, on what has been measured")
     parser.add_argument("--no-tune", action="store_true", help="leave out fdem.tune against the cheapest settings")
     parser.add_argument("--report", action="store_true", help="draw again what has been measured")
     parser.add_argument("--only", nargs="*", choices=list(PROBLEMS), help="these problems alone")
     parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
     warnings.simplefilter("ignore", fdem.FdemWarning)
-    data = json.loads(RESULTS.read_text()) if RESULTS.exists() and (options.only or options.report) else {}
-    if not options.report:
+    data = (
+        json.loads(RESULTS.read_text()) if RESULTS.exists() and (options.only or options.report or options.tune) else {}
+    )
+    if not options.report and not options.tune:
         data["machine"] = machine() | {"mode": "full" if options.full else "quick", "repeats": options.repeats}
         problems = data.setdefault("problems", {})
         for name in options.only or PROBLEMS:
@@ -85,11 +88,12 @@ def main() -> None:
             if tuned:
                 problems[name]["tuned"] = tuned
         data["problems"] = {name: problems[name] for name in PROBLEMS if name in problems}
+    RESULTS.parent.mkdir(exist_ok=True)
+    RESULTS.write_text(json.dumps(data, indent=1) + "\n")  # what has been measured is kept, whatever comes
     if not options.report and not options.no_tune:
         import precision_tune
 
         precision_tune.run(data, options.only, options.full)
-    RESULTS.parent.mkdir(exist_ok=True)
     RESULTS.write_text(json.dumps(data, indent=1) + "\n")
     precision_report.write(data, RESULTS.parent)
 

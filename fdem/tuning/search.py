@@ -14,13 +14,14 @@ from fdem.scene.scene import Scene
 from fdem.simulation import Simulation
 from fdem.tuning.result import Tuned
 from fdem.tuning.settings import Settings
-from fdem.tuning.track import Knob, Run, Track
+from fdem.tuning.track import Knob, Levels, Run, Track
 
 __all__ = ["Search"]
 
 AIM = 0.15  # of the tolerance: uncertainty of the limit that is aimed at, so that little of the tolerance goes there
 ENOUGH = 0.5  # of the tolerance: uncertainty that will do where the budget ends
 SLACK = 10.0  # times the tolerance: energy closure above which a run counts as failed
+PATIENCE = 8  # refinements after which the latter will do
 WITNESS = 0.1  # of what is left of the budget: what a second opinion may cost
 POLISH = 14  # coarser settings tried for one formulation and integrator
 GAIN = 0.95  # of the cost: less is noise
@@ -196,10 +197,12 @@ class Search:
 
     def converge(self) -> bool:
         """Refine the trusted tracks, the one that has cost least first, until limits are sure and agree."""
-        aim = AIM
+        aim, waited = AIM, 0
         while True:
             live = [t for t in self.tracks if t.trusted and not t.dead]
-            sure = [t for t in live if self._sure(t, aim)]
+            waited += any(t.estimate[1] <= ENOUGH * self.allowed(t.estimate[0]) for t in live)
+            asked_for = aim if waited <= PATIENCE else max(aim, ENOUGH)
+            sure = [t for t in live if self._sure(t, asked_for)]
             if sure:
                 first = min(sure, key=lambda t: t.estimate[1])
                 witness = self._witness(first, live)
@@ -209,10 +212,10 @@ class Search:
                     self._take(first)
                     return True
                 step = witness.next_step(self.allowed(first.estimate[0]) * aim)
-                if step is not None and witness.expected(step[1]) <= self.budget - self.total:
+                if step is not None and self._affords(first, witness, step[1]):
                     witness.refine(*step)
                     continue
-                aim *= 0.5  # one of the two is wrong about itself
+                aim, waited = 0.5 * aim, 0  # one of the two is wrong about itself
                 if aim < AIM / 16:
                     self.why = f"{first.kind} and {witness.kind} tend to different limits"
                     self.conflict = True
@@ -254,10 +257,14 @@ class Search:
         if not steps:
             return False
         track, (k, target) = min(steps, key=lambda item: item[0].spent + item[0].expected(item[1][1]))
-        if track.spent + track.expected(target) > max(first.spent, WITNESS * (self.budget - self.total)):
+        if not self._affords(first, track, target):
             return False
         track.refine(k, target)
         return True
+
+    def _affords(self, first: Track, other: Track, target: Levels) -> bool:
+        """Whether a second opinion may cost what a run would bring it to."""
+        return other.spent + other.expected(target) <= max(first.spent, WITNESS * (self.budget - self.total))
 
     def _agree(self, a: Track, b: Track) -> bool:
         (x, u), (y, w) = a.estimate, b.estimate
