@@ -36,6 +36,7 @@ bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python benchmarks/jointed.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/spheres.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/wall.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/precision.py
 
 docs: $(STAMP)
 	$(BIN)/python tools/api_table.py docs/api.md

@@ -14,6 +14,7 @@ __all__ = [
     "OverlapError",
     "SceneError",
     "SolveError",
+    "ToleranceError",
     "UnstableError",
     "UnsupportedError",
 ]
@@ -59,6 +60,22 @@ class ConvergenceError(SolveError):
     def __init__(self, message: str, residuals: Iterable[float] = ()) -> None:
         super().__init__(message)
         self.residuals = tuple(residuals)
+
+
+class ToleranceError(ConvergenceError):
+    """An error asked for was not reached.
+
+    Parameters
+    ----------
+    message : str
+        Why.
+    best : Tuned
+        The best that was reached.
+    """
+
+    def __init__(self, message: str, best: object = None) -> None:
+        super().__init__(message)
+        self.best = best
 
 
 class OverlapError(SolveError):

