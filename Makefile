@@ -34,6 +34,7 @@ bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python benchmarks/contact.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/bodies.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/jointed.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/spheres.py
 
 docs: $(STAMP)
 	$(BIN)/python tools/api_table.py docs/api.md

@@ -8,6 +8,7 @@ import numpy as np
 
 from fdem.contact import sphere_readout
 from fdem.contact.carry import notes
+from fdem.contact.parking import sleepers
 
 __all__ = ["describe"]
 
@@ -26,6 +27,7 @@ def describe(sim: Any) -> str:
         lines += notes(contacts)
     if sim.system.particles is not None:
         lines += sphere_readout.notes(sim.system.particles)
+    lines.append(sleepers(contacts))
     if sim.ledger is None:
         lines.append("energy ledger: left out (energy=False)")
     if sim.system.f_load is None:

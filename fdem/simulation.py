@@ -14,6 +14,7 @@ import numpy as np
 from fdem import checkpoint
 from fdem.compile import Compiled, compile_scene
 from fdem.contact import carry
+from fdem.contact.parking import Parking
 from fdem.errors import FdemWarning, SceneError
 from fdem.guard import CHECK_EVERY, Guard
 from fdem.integrate.explicit import Explicit, Relaxation
@@ -109,11 +110,14 @@ class Simulation(Readout):
     def _make_system(self, compiled: Compiled) -> None:
         self.model, self.state, self.drags = compiled.model, compiled.state, compiled.drags
         self._turning = [(batch, _run(batch.rows)) for batch in compiled.model.batches if batch.turns]
+        contacts, state, model = compiled.contacts, compiled.state, compiled.model
+        if contacts is not None and getattr(self.integrator, "sleep", None) is not None:
+            contacts = Parking(contacts, state.x, state.x_old, model.gp_block, model.batch_index < 0)
         loads = compiled.loads + [Release(None, gp, forces, at, over) for gp, forces, at, over in self._releases]
         self.system = System(
             compiled.model,
             compiled.state,
-            compiled.contacts,
+            contacts,
             compiled.particles,
             compiled.constraints,
             loads,

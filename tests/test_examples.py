@@ -15,6 +15,7 @@ CASES = {
     "incline": (1e-3, ["incline.png"]),  # the oracle's 0.1 % for sliding with soft contact
     "arch": (1e-4, ["arch_rigid.png", "arch_zoned.png"]),  # ratio 1e-6 of the largest force, 23 blocks added up
     "impact": (1e-3, ["impact.png", "impact_history.png"]),  # API.md, scene 3
+    "spheres": (1e-3, ["spheres.png"]),  # solved to 1e-4 of the largest force, 1500 bodies added up
     "user_law": (1e-3, ["user_law.png"]),  # its kernel takes the strength from the slip of the step before
     # thrust of the joints' shear springs, and strain of 1e-4 beside linear formulas
     "formulations": (2e-3, ["formulations.png"]),
