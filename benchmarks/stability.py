@@ -30,7 +30,9 @@ def measure(numbers: list[str], full: bool) -> list[dict[str, Any]]:
         for row in rows:
             value = f"{row.value:.4g}" if isinstance(row.value, float) else row.value
             print(f"    {'ok  ' if row.passed else 'FAIL'} {row.what}: {value}  [{row.criterion}]", flush=True)
-        found.append({"number": number, "title": title, "passed": passed, "cpu": spent, "rows": [vars(r) for r in rows]})
+        found.append(
+            {"number": number, "title": title, "passed": passed, "cpu": spent, "rows": [vars(r) for r in rows]}
+        )
     return found
 
 
@@ -76,7 +78,9 @@ def main() -> None:
         facts = reporting.machine()
         reporting.keep("stability", {"machine": facts, "full": options.full, "scenarios": found})
         mode = "runs as long as listed" if options.full else "shortened runs (`make bench`)"
-        reporting.section("stability", "Numerical stability", f"{reporting.caption(facts)} One thread, {mode}.\n\n{text}")
+        reporting.section(
+            "stability", "Numerical stability", f"{reporting.caption(facts)} One thread, {mode}.\n\n{text}"
+        )
 
 
 if __name__ == "__main__":

@@ -61,7 +61,9 @@ def rows_of(number: str, full: bool) -> Iterator[Row]:
             yield from SCENARIOS[number][1](full)
     except Exception as error:  # the table goes on with the next one
         place = traceback.extract_tb(error.__traceback__)[-1]
-        yield Row("runs", f"{type(error).__name__}: {str(error)[:150]} ({place.name}:{place.lineno})", "no error", False)
+        yield Row(
+            "runs", f"{type(error).__name__}: {str(error)[:150]} ({place.name}:{place.lineno})", "no error", False
+        )
 
 
 def run(number: str, full: bool) -> tuple[list[Row], float]:

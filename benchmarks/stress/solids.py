@@ -50,7 +50,6 @@ def s03(full: bool) -> Iterator[Row]:
         energy = free.energy
         most = max(most, energy.kinetic + energy.strain + energy.joint)
     yield at_most(f"explicit, {free.steps} steps at 0.9 of the limit: E / E0", most / start, 1.001)
-    yield holds("explicit: E0 is what the squeeze stored", abs(start / (0.5 * exact * SQUEEZE) - 1) < 1e-5, "1e-5", start)
 
 
 def sliver(away: float, integrator: Any = None) -> Any:
@@ -189,7 +188,7 @@ def s26(full: bool) -> Iterator[Row]:
 
 @scenario("S27", "zones crushed past 90 %")
 def s27(full: bool) -> Iterator[Row]:
-    """The upper end of a column of 10 x 2 x 2 cells is driven down by 95 % in 1000 steps, in both strain measures."""
+    """The upper end of a column of 10 x 2 x 2 cells is driven down by 105 % in 1000 steps, in both strain measures."""
     for strain in ("large", "small"):
         scene = fdem.Scene(gravity=(0, 0, 0))
         young, density = 1e9, 2500.0
@@ -199,7 +198,7 @@ def s27(full: bool) -> Iterator[Row]:
         scene.joint(fdem.Coulomb(kn=1e9, ks=1e9, friction=30))
         scene.fix(column, where=lambda x: x[:, 2] < 1e-9)
         dt = simulation(scene).dt
-        speed = 0.95 * 5 / (1000 * dt)
+        speed = 1.05 * 5 / (1000 * dt)
         scene.apply(fdem.Velocity((0, 0, -speed)), column, where=lambda x: x[:, 2] > 5 - 1e-9)
         sim, c = simulation(scene, fdem.Explicit(dt=dt)), np.sqrt(young / density)
         fastest, said = 0.0, ""

@@ -66,5 +66,3 @@ class Top:
         cuts = np.linspace(0, t, int(np.ceil(t * self.rate)) + 1)
         phi = sum(quad(rate, a, b, epsabs=1e-13, epsrel=1e-13)[0] for a, b in pairwise(cuts))
         return self._frame(0.0, 0.0).T @ self._frame(t, phi)
-
-

@@ -39,5 +39,3 @@ class Units:
 
 
 SI = Units()
-
-
