@@ -27,7 +27,17 @@ __all__ = ["Carrier", "carry", "read", "restore", "save", "transfer"]
 FORMAT = 1
 SCALARS = ("lag", "dt", "work", "damped", "omega")
 ARRAYS = ("q", "v", "x", "x_old")
-KEPT = ("elastic_old", "_load_old", "_reaction_old", "_turning_old", "_spun", "_k_used", "force_before")
+KEPT = (
+    "elastic_old",
+    "_load_old",
+    "_reaction_old",
+    "_turning_old",
+    "_spun",
+    "_k_used",
+    "force_before",
+    "a_old",
+    "given",
+)
 
 
 class Carrier:

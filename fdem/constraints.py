@@ -116,6 +116,11 @@ class Coupled:
         self._free = np.eye(C.shape[1]) - lift @ C
         self._lift = np.linalg.pinv(C) if fictitious else lift
 
+    @property
+    def free(self) -> np.ndarray:
+        """Projector (d, d) of motions on what is free."""
+        return self._free
+
     def given(self, v: np.ndarray) -> np.ndarray:
         """Return what is prescribed of velocities `v` (d,) of the block."""
         return v - self._free @ v
@@ -128,8 +133,10 @@ class Coupled:
         """Take out of forces `f` (n_dofs,) what the conditions carry."""
         f[self.dofs] = self._free.T @ f[self.dofs]
 
-    def prescribe(self, v: np.ndarray, q: np.ndarray, q0: np.ndarray, t: float, dt: float) -> None:
-        """Give velocities `v` what is prescribed at the time `t`."""
+    def prescribe(
+        self, v: np.ndarray, q: np.ndarray, q0: np.ndarray, t: float, dt: float, share: float | None = None
+    ) -> None:
+        """Give velocities `v` what is prescribed at the time `t`; see `Constraints.prescribe`."""
         given = np.zeros(len(self._free))
         for condition in self.conditions:
             if condition.target is None:
@@ -140,7 +147,7 @@ class Coupled:
                 ahead, whole, place = (np.abs(condition.rows @ part).max() for part in (left, wanted, q[self.coords]))
                 # by shares it would stop where a share is less than the last bit of q
                 arrived = ahead <= max(ARRIVED * whole, 2.0 * np.finfo(float).eps / APPROACH * place)
-                wanted = (1.0 if arrived else APPROACH) / dt * left
+                wanted = (1.0 if arrived else APPROACH if share is None else share) / dt * left
             given += np.linalg.pinv(condition.rows) @ (condition.rows @ wanted)
         v[self.dofs] += self._lift @ (self.rows @ (given - v[self.dofs]))
 
@@ -250,6 +257,11 @@ class Constraints:
         for group in self.coupled:
             group.still(a)
 
+    @property
+    def any(self) -> bool:
+        """Whether anything is constrained."""
+        return bool(len(self.held) or len(self.oblique_rows) or self.coupled)
+
     def _clear(self, a: np.ndarray) -> None:
         a[self.fixed] = 0.0
         for motion in self.motions:
@@ -259,8 +271,10 @@ class Constraints:
         if len(self.oblique_rows):
             self._project(a)
 
-    def prescribe(self, v: np.ndarray, q: np.ndarray, q0: np.ndarray, t: float, dt: float) -> None:
-        """Give the constrained velocities their values at time `t`.
+    def prescribe(
+        self, v: np.ndarray, q: np.ndarray, q0: np.ndarray, t: float, dt: float, share: float | None = None
+    ) -> None:
+        """Give the constrained velocities their values at time `t`; `share` replaces that of the approaches.
 
         Raises
         ------
@@ -276,10 +290,14 @@ class Constraints:
             target = approach.target * _factor(approach.handle, t)
             left = target - (q[approach.coords] - q0[approach.coords])
             # the last part in one step: by shares it would stop where a share is less than the last bit of q
-            share = np.where(np.abs(left) <= ARRIVED * np.abs(target).max(initial=0.0), 1.0, approach.share)
-            v[approach.dofs] = share / dt * left
+            near = np.abs(left) <= ARRIVED * np.abs(target).max(initial=0.0)
+            v[approach.dofs] = np.where(near, 1.0, approach.share if share is None else share) / dt * left
         for group in self.coupled:
-            group.prescribe(v, q, q0, t, dt)
+            group.prescribe(v, q, q0, t, dt, share)
+
+    def velocity(self, motion: Motion, t: float) -> np.ndarray:
+        """Velocities of a prescribed motion at the time `t`."""
+        return motion.values * _factor(motion.handle, t)
 
     def ahead(self, q: np.ndarray, q0: np.ndarray, t: float) -> float:
         """Prescribed displacement still to come at time `t`, over the largest prescribed: the worst of all loads."""

@@ -38,6 +38,8 @@ def describe(sim: Any) -> str:
 
 
 def _step(sim: Any) -> str:
+    if getattr(sim.integrator, "implicit", False):
+        return _implicit(sim)
     bounds = sim.system.block_frequencies()
     if sim.integrator.scaled:
         return f"step: {sim.dt:g} units of fictitious time, half of which is the limit of the scaled masses' bound"
@@ -50,3 +52,12 @@ def _step(sim: Any) -> str:
         where = f" at gridpoint {int(gp[sim.model.batch_row[block]]) - int(sim.model.gp_range[block, 0])}"
     limit = sim.integrator.limit(sim.system)
     return f"step: {sim.dt:.4g} s, limit {limit:.4g} s set by block {sim.model.names[block]!r}{where}"
+
+
+def _implicit(sim: Any) -> str:
+    integrator, n = sim.integrator, len(sim.state.v)
+    linear, trial = integrator.linear, integrator.trial
+    method = linear.chosen(n, trial.assembler, integrator.scaled)
+    why = "chosen by size and kind of blocks" if linear.method == "auto" else "asked for"
+    step = "one step is a solution at rest" if integrator.scaled else f"{sim.dt:.4g} s, no limit"
+    return f"step: {step}; linear systems: {method} ({why}), last used: {linear.used}"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fdem.errors import SceneError, SolveError
+from fdem.errors import SceneError, SolveError, UnsupportedError
 
 __all__ = ["Bedding", "Couple", "Dashpot", "DeadLoad", "Follower", "Load", "Release", "Torque", "UserLoad"]
 
@@ -57,6 +57,18 @@ class Load(ABC):
         self.total = forces.sum(axis=0)
         f_gp[self.gp] += forces
 
+    def tangent(self, t: float, x: np.ndarray, cc: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Minus the derivatives of the forces by positions, plus `cc` [1/s] times those by velocities.
+
+        Returns
+        -------
+        first, second : (n,) int arrays
+            Gridpoints.
+        blocks : (n, 3, 3) array
+            [N/m].
+        """
+        return None
+
 
 class DeadLoad(Load):
     """Constant forces (n, 3) [N]."""
@@ -98,6 +110,20 @@ class Follower(Load):
         for k in range(3):
             np.add.at(forces, self.corner[:, k], self.share[:, k, None] * area)
         return forces
+
+    def tangent(self, t: float, x: np.ndarray, cc: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The area vector of a triangle turns with its edges (not symmetric in general)."""
+        factor, corners = self.factor(t), x[self.gp][self.corner]
+        first, second, blocks = [], [], []
+        for j in range(3):
+            # d (b - a) x (c - a) / d corner j = [opposite edge x]
+            edge = corners[:, (j + 2) % 3] - corners[:, (j + 1) % 3]
+            turn = np.cross(edge[:, None], np.eye(3)[None]).transpose(0, 2, 1)
+            for k in range(3):
+                first.append(self.gp[self.corner[:, k]])
+                second.append(self.gp[self.corner[:, j]])
+                blocks.append(-factor * self.share[:, k, None, None] * turn)
+        return np.concatenate(first), np.concatenate(second), np.concatenate(blocks)
 
 
 class Couple(Load):
@@ -169,6 +195,10 @@ class Dashpot(Load):
         assert xdot is not None
         return -np.einsum("nij,nj->ni", self.matrices, xdot[self.gp])
 
+    def tangent(self, t: float, x: np.ndarray, cc: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The matrices themselves."""
+        return self.gp, self.gp, cc * self.factor(t) * self.matrices
+
 
 class Bedding(Load):
     """Forces ``-K (x - X)`` with a (3, 3) matrix [N/m] per gridpoint."""
@@ -181,11 +211,37 @@ class Bedding(Load):
         """Forces (n, 3) [N] on the gridpoints."""
         return -np.einsum("nij,nj->ni", self.matrices, x[self.gp] - self.start)
 
+    def tangent(self, t: float, x: np.ndarray, cc: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The matrices themselves."""
+        return self.gp, self.gp, self.factor(t) * self.matrices
+
 
 class UserLoad(Load):
-    """The user's ``force(t, x, v) -> (n, 3)`` on gridpoints."""
+    """The user's ``force(t, x, v) -> (n, 3)`` on gridpoints, and for implicit methods ``tangent(t, x, v)``."""
 
     needs_velocity = True
+
+    def tangent(self, t: float, x: np.ndarray, cc: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the user says: minus the derivative (n, 3, 3) of each gridpoint's force by its own position.
+
+        What forces depend on besides is left out; Newton's method then takes more iterations.
+
+        Raises
+        ------
+        UnsupportedError
+            The load has no ``tangent(t, x, v)``.
+        """
+        given = getattr(self.handle.load, "tangent", None)
+        if given is None:
+            raise UnsupportedError(
+                f"load {self.handle.load!r} has no tangent(t, x, v): implicit integrators cannot use it"
+            )
+        blocks = np.asarray(given(t, x[self.gp] + self.origin, np.zeros((len(self.gp), 3))), dtype=np.float64)
+        if blocks.shape != (len(self.gp), 3, 3):
+            raise SceneError(
+                f"load {self.handle.load!r}: tangent returned shape {blocks.shape}, expected ({len(self.gp)}, 3, 3)"
+            )
+        return self.gp, self.gp, self.factor(t) * blocks
 
     def __init__(self, handle: Any, gp: np.ndarray, origin: np.ndarray) -> None:
         super().__init__(handle, gp)

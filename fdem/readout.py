@@ -171,7 +171,7 @@ class Readout:
         table |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
         table["frame"] = np.zeros((0, 3, 3))
         if contacts is not None:
-            table = dict(contacts.table(self.state.x))
+            table = dict(self.system.contact_table())
         if particles is not None:
             own = sphere_table(particles)
             n = len(own["joint"])

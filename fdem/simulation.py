@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time as clock
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,7 +25,7 @@ from fdem.results.history import Every, History, adapted, watch
 from fdem.scene.checks import number
 from fdem.scene.kept import Kept
 from fdem.scene.scene import Applied, Fix, Gridpoint, Scene, Where
-from fdem.stopping import Report, Watch
+from fdem.stopping import Report, solve
 from fdem.views import BlockView, GridpointView, LoadView
 
 __all__ = ["Report", "Simulation", "load"]
@@ -109,7 +108,8 @@ class Simulation(Readout):
 
     def _make_system(self, compiled: Compiled) -> None:
         self.model, self.state, self.drags = compiled.model, compiled.state, compiled.drags
-        self._turning = [(batch, _run(batch.rows)) for batch in compiled.model.batches if batch.turns]
+        self._turning = [_run(batch.rows) for batch in compiled.model.batches if batch.turns]
+        self._turns = self.integrator.take_turns if getattr(self.integrator, "implicit", False) else self._advanced
         contacts, state, model = compiled.contacts, compiled.state, compiled.model
         if contacts is not None and getattr(self.integrator, "sleep", None) is not None:
             contacts = Parking(contacts, state.x, state.x_old, model.gp_block, model.batch_index < 0)
@@ -155,8 +155,13 @@ class Simulation(Readout):
 
     def _step(self, dt: float) -> None:
         self.integrator.step(self.system, dt)
-        for batch, rows in self._turning:
-            self.turned[rows] += batch.turn(self.state.q, self.state.v, self.system.dt)
+        for rows, turn in zip(self._turning, self._turns(), strict=True):
+            self.turned[rows] += turn
+
+    def _advanced(self) -> list[np.ndarray]:
+        """Rotation vectors of the last explicit step, of the batches that turn."""
+        state, dt = self.state, self.system.dt
+        return [batch.turn(state.q, state.v, dt) for batch in self.model.batches if batch.turns]
 
     def _start_progress(self, n: int, end: float | None) -> Any:
         if self._progress is False:
@@ -198,30 +203,13 @@ class Simulation(Readout):
         Returns
         -------
         Report
-            Why it stopped, with ratio, kinetic energy and the displacement still to come.
+            Why it stopped, with ratio, kinetic energy and the displacement still to come. `Static` takes one step,
+            that is all its load steps, to the smaller of `ratio` and its own tolerance.
         """
         number("solve", "ratio", ratio, low=0.0, open_low=True)
         if not isinstance(max_cycles, (int, np.integer)) or max_cycles < 0:
             raise SceneError(f"solve: max_cycles = {max_cycles!r}, allowed is a whole number >= 0")
-        begin, first = clock.perf_counter(), self.state.step
-        # while tractions of removed blocks are still being released, what looks like equilibrium is none
-        released = max((at + over - first for _, _, at, over in self._releases), default=0)
-        self._steps(min(max(released, 0), max_cycles))
-        watch = Watch(self.system, ratio)
-        reason = watch.look()
-        while reason is None and self.state.step - first < max_cycles:
-            self._steps(min(watch.every, max_cycles - (self.state.step - first)))
-            reason = watch.look()
-        return Report(
-            converged=reason == "equilibrium",
-            reason=reason or "cycles",
-            cycles=self.state.step - first,
-            ratio=watch.ratio,
-            start_ratio=watch.start_ratio,
-            kinetic_ratio=watch.kinetic_ratio,
-            remaining=watch.remaining,
-            wall_time=clock.perf_counter() - begin,
-        )
+        return solve(self, ratio, int(max_cycles))
 
     def apply(self, load: Any, target: Any = None, where: Where | None = None, factor: Any = 1.0) -> Applied:
         """Apply a load from now on (see `Scene.apply`)."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import time as clock
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-__all__ = ["Report", "Watch"]
+from fdem.errors import ConvergenceError
+
+__all__ = ["Report", "Watch", "solve"]
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,11 @@ class Report:
         Estimated displacement still to come over the largest displacement so far.
     wall_time : float
         [s].
+    residuals, increments : tuple of float
+        Of implicit integrators, for every step accepted in this solve: the largest unbalanced force over the largest
+        acting, and the longest motion of a gridpoint in the step [m].
+    notes : str
+        What else there is to say: a start out of balance, blocks that nothing holds, why it did not converge.
     """
 
     converged: bool
@@ -41,6 +49,9 @@ class Report:
     kinetic_ratio: float
     remaining: float
     wall_time: float
+    residuals: tuple[float, ...] = ()
+    increments: tuple[float, ...] = ()
+    notes: str = ""
 
 
 class Watch:
@@ -132,3 +143,59 @@ class Watch:
         growing = all(b >= 0.9 * a for a, b in pairwise(recent))
         worst = int(np.argmax(distance))
         return growing and net > 1e-3 * self._block_size[worst]
+
+
+def solve(sim: Any, ratio: float, max_cycles: int) -> Report:
+    """Take steps until equilibrium, collapse or `max_cycles` (see `Simulation.solve`)."""
+    accepted = getattr(sim.integrator, "accepted", [])
+    accepted.clear()
+    run = _at_once if getattr(sim.integrator, "static", False) else _cycles
+    begin = clock.perf_counter()
+    result = run(sim, ratio, max_cycles)
+    result |= {"wall_time": clock.perf_counter() - begin, "converged": result["reason"] == "equilibrium"}
+    residuals, increments = (tuple(step[k] for step in accepted) for k in range(2))
+    return Report(residuals=residuals, increments=increments, **result)
+
+
+def _cycles(sim: Any, ratio: float, max_cycles: int) -> dict[str, Any]:
+    first = sim.state.step
+    # while tractions of removed blocks are still being released, what looks like equilibrium is none
+    released = max((at + over - first for _, _, at, over in sim._releases), default=0)
+    sim._steps(min(max(released, 0), max_cycles))
+    watch = Watch(sim.system, ratio)
+    reason = watch.look()
+    while reason is None and sim.state.step - first < max_cycles:
+        sim._steps(min(watch.every, max_cycles - (sim.state.step - first)))
+        reason = watch.look()
+    return {
+        "reason": reason or "cycles",
+        "cycles": sim.state.step - first,
+        "ratio": watch.ratio,
+        "start_ratio": watch.start_ratio,
+        "kinetic_ratio": watch.kinetic_ratio,
+        "remaining": watch.remaining,
+    }
+
+
+def _at_once(sim: Any, ratio: float, max_cycles: int) -> dict[str, Any]:
+    """One step of an integrator that finds equilibrium by itself."""
+    integrator, start, reason = sim.integrator, sim.system.ratio(), "equilibrium"
+    tolerance, integrator.tolerance = integrator.tolerance, min(ratio, integrator.tolerance)
+    notes = [f"the start was out of balance by {start:.2g} of the largest force"] if start > ratio else []
+    try:
+        sim._steps(1)
+        notes += integrator.notes
+    except ConvergenceError as error:
+        reason = "collapse"
+        notes.append(str(error))
+    finally:
+        integrator.tolerance = tolerance
+    return {
+        "reason": reason,
+        "cycles": integrator.iterations,
+        "ratio": sim.system.ratio(),
+        "start_ratio": start,
+        "kinetic_ratio": 0.0,
+        "remaining": 0.0,
+        "notes": "; ".join(notes),
+    }

@@ -40,8 +40,8 @@ ARROWS = {
     "constraints": BASE | {"model", "state"},
     "loads": BASE | {"model", "state"},
     "compile": BASE | NUMERIC | {"scene"},
-    "integrate": BASE,
-    "integrate.system": BASE | NUMERIC,
+    "integrate": BASE | {"kernels"},  # linear algebra; nothing of blocks and contacts
+    "integrate.system": BASE | NUMERIC,  # and what belongs to it: what integrators see
     "results": BASE | {"model", "state"},
     "readout": BASE | {"model", "state", "contact", "integrate", "results", "description"},
     "stopping": BASE | {"model", "state"},
@@ -63,13 +63,15 @@ LAZY = {
     "simulation": {"scipy", "pyvista", "numpy"},
 }
 FORBIDDEN = ("print", "exit", "quit", "sys.exit", "os._exit", "np.random.seed", "breakpoint")
+SYSTEM = {"system", "pace", "trial", "impulses", "matrices"}
 HEAVY = ("numba", "scipy", "skfem", "gmsh", "meshio", "pyvista", "vtkmodules", "matplotlib", "h5py", "pyamg")
 
 
 def part(path):
     """First component of a module below fdem: a folder or a file."""
     relative = path.relative_to(PACKAGE).with_suffix("")
-    return ".".join(relative.parts) if relative.parts[:2] == ("integrate", "system") else relative.parts[0]
+    system = relative.parts[0] == "integrate" and relative.parts[-1] in SYSTEM
+    return "integrate.system" if system else relative.parts[0]
 
 
 def imports(path):

@@ -20,8 +20,9 @@ TILTS = {
 def tangent(w):
     """Dense derivative (n_gp, 3, n_gp, 3) of the contact forces by the positions, no friction."""
     c, p = w.contacts, w.contacts.patches
-    response = np.zeros((3 * len(p), 4, 4))
-    response[:, 0, 0] = KN
+    response = np.zeros((3 * len(p), 3, 4, 4))
+    for q in range(3):
+        response[q::3, q, 0, 0] = KN
     blocks = np.zeros((len(p), 7, 3, 7, 3))
     contact_tangent(
         p.gp, c._active, c._thick, w.x, c._w, c._area, c._push, c._face_normal, c._traction, response, blocks

@@ -7,15 +7,83 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fdem.blocks import recovery
-from fdem.blocks.zoneforces import elasticity, tensors
 
 if TYPE_CHECKING:
     from fdem.blocks.zoned import ZonedBlocks
 
-__all__ = ["Entries", "nothing", "of_blocks", "zone_mass", "zone_tangent"]
+__all__ = [
+    "Additive",
+    "Entries",
+    "Stiff",
+    "nothing",
+    "of_arms",
+    "of_blocks",
+    "of_pairs",
+    "same",
+    "turn",
+    "turn_on",
+    "zone_mass",
+]
 
 Array = Any
 Entries = tuple[Array, Array, Array]
+
+
+class Additive:
+    """Batches whose unknowns add up: placement and mass are constant."""
+
+    dofs: slice
+    coords: slice
+    width = 3  # unknowns that belong together
+    steady = True  # the mass does not depend on q
+
+    def groups(self) -> Array:
+        """Unknowns (m, width) that belong together: those of a block, or of a gridpoint."""
+        return np.arange(self.dofs.start, self.dofs.stop).reshape(-1, self.width)
+
+    def theory(self, row: int, q: Array) -> Array | None:
+        """None: the unknowns are the theory's."""
+        return None
+
+    def shift(self, q: Array, d: Array) -> None:
+        """Move `q` by the increment `d` (n_dofs,)."""
+        q[self.coords] += d[self.dofs]
+
+    def compose(self, d: Array, change: Array) -> None:
+        """Let the increment `d` (n_dofs,) be that of `d` and then `change`."""
+        d[self.dofs] += change[self.dofs]
+
+    def gyroscopic(self, q: Array, v: Array, f: Array) -> None:
+        """Nothing: the mass is constant."""
+
+    def geometric(self, q: Array, f_gp: Array) -> Entries:
+        """Nothing: the placement is constant."""
+        return nothing()
+
+
+class Stiff:
+    """Batches without internal forces: six unknowns a block, translation and rotation."""
+
+    dofs: slice
+    oriented = True  # rotations are kept; else they are angles rolled, which add up
+
+    def groups(self) -> Array:
+        """Unknowns (n_blocks, 6) that belong together: those of every block."""
+        return np.arange(self.dofs.start, self.dofs.stop).reshape(-1, 6)
+
+    def compose(self, d: Array, change: Array) -> None:
+        """Let the increment `d` (n_dofs,) be that of `d` and then `change`."""
+        own, more = d[self.dofs].reshape(-1, 6), change[self.dofs].reshape(-1, 6)
+        own[:, :3] += more[:, :3]
+        own[:, 3:] = turn_on(own[:, 3:], more[:, 3:]) if self.oriented else own[:, 3:] + more[:, 3:]
+
+    def turned(self, q0: Array, q: Array, d: Array) -> Array:
+        """Rotation vectors (n_blocks, 3) [rad] of the increment `d` from `q0` to `q`."""
+        return d[self.dofs].reshape(-1, 6)[:, 3:].copy()
+
+    def tangent(self, q: Array, x: Array) -> Entries:
+        """Nothing: there are no internal forces."""
+        return nothing()
 
 
 def nothing() -> Entries:
@@ -31,6 +99,58 @@ def of_blocks(first: Array, matrices: Array) -> Entries:
     return rows.ravel(), columns.ravel(), matrices.ravel()
 
 
+def of_pairs(first: int, row: Array, column: Array, blocks: Array) -> Entries:
+    """Entries of 3x3 `blocks` (n, 3, 3) between gridpoints `row` and `column` (n,), unknowns counted from `first`."""
+    rows = np.broadcast_to((first + 3 * row)[:, None, None] + np.arange(3)[:, None], blocks.shape)
+    columns = np.broadcast_to((first + 3 * column.astype(np.int64))[:, None, None] + np.arange(3), blocks.shape)
+    return rows.ravel(), columns.ravel(), blocks.ravel()
+
+
+def same(first: int, dofs: slice) -> Entries:
+    """Entries of the unit matrix, rows from `first` on and the unknowns `dofs`."""
+    columns = np.arange(dofs.start, dofs.stop)
+    return first + np.arange(len(columns)), columns, np.ones(len(columns))
+
+
+def of_arms(first: int, arms: Array, groups: Array, count: Array) -> Entries:
+    """Entries of ``v + omega x r``: rows 3 gp + axis of the gridpoints from `first` on, with the arms (n, 3) [m].
+
+    Each row of `groups` (n_blocks, 6) has the unknowns of a block with `count` (n_blocks,) gridpoints.
+    """
+    rows = 3 * (first + np.arange(len(arms)))[:, None] + np.arange(3)
+    columns = np.repeat(groups, count, axis=0)
+    x, y, z = arms.T
+    values = np.column_stack([np.ones((len(arms), 3)), z, -y, -z, x, y, -x])
+    at, axis = [0, 1, 2, 0, 0, 1, 1, 2, 2], [0, 1, 2, 4, 5, 3, 5, 3, 4]
+    return rows[:, at].ravel(), columns[:, axis].ravel(), values.ravel()
+
+
+def turn(q: Array, d: Array) -> None:
+    """Move places and unit quaternions `q` (n, 7) by translations and rotation vectors `d` (n, 6) [m, rad]."""
+    q[:, :3] += d[:, :3]
+    q[:, 3], q[:, 4:] = _product(*_quaternions(d[:, 3:]), q[:, 3], q[:, 4:])
+    q[:, 3:] /= np.linalg.norm(q[:, 3:], axis=1)[:, None]
+
+
+def turn_on(first: Array, second: Array) -> Array:
+    """Rotation vectors (n, 3) of the rotations `first` (n, 3) and then `second` [rad]; exact for small ones too."""
+    w, u = _product(*_quaternions(second), *_quaternions(first))
+    sine = np.linalg.norm(u, axis=1)
+    angle = 2.0 * np.arctan2(sine, w)
+    return np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0)[:, None] * u
+
+
+def _quaternions(turns: Array) -> tuple[Array, Array]:
+    """Unit quaternions of rotation vectors (n, 3): w (n,) and the rest (n, 3)."""
+    angle = 0.5 * np.linalg.norm(turns, axis=1)
+    return np.cos(angle), 0.5 * np.sinc(angle / np.pi)[:, None] * turns
+
+
+def _product(w: Array, u: Array, w0: Array, u0: Array) -> tuple[Array, Array]:
+    """Product of quaternions (w, u) (w0, u0)."""
+    return w * w0 - np.einsum("ni,ni->n", u, u0), w[:, None] * u0 + w0[:, None] * u + np.cross(u, u0)
+
+
 def zone_mass(blocks: ZonedBlocks) -> Entries:
     """Mass of zoned blocks: diagonal, and full where the inertia of a block is matched."""
     own = np.arange(blocks.dofs.start, blocks.dofs.stop)
@@ -43,35 +163,3 @@ def zone_mass(blocks: ZonedBlocks) -> Entries:
             parts.append(of_blocks(first, full[None]))
     rows, columns, values = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     return rows, columns, values
-
-
-def zone_tangent(blocks: ZonedBlocks, x: Array) -> Entries:
-    """Derivative of the internal forces of zoned blocks at the positions `x` (n_gp, 3) [N/m].
-
-    With shape gradients g, ``K_ab = V ((g_a.S g_b) 1 + F D F^T)``, ``D = lam g_a g_b^T + mu (g_b g_a^T + g_a.g_b 1)``.
-    Blocks of small strain take the reference stiffness turned by their frame; what is left out is of the order of the
-    strain.
-    """
-    F = blocks.deformation(x)
-    lam, mu, large = (values[blocks.zone_block] for values in (blocks.lam, blocks.mu, blocks.large))
-    S = elasticity(0.5 * (np.swapaxes(F, 1, 2) @ F - np.eye(3)), lam, mu)
-    if blocks.stress0 is not None:
-        S += tensors(blocks.stress0)
-    if not large.all():
-        turned = recovery.frames(blocks, x)
-        F = np.where(large[:, None, None], F, turned)
-        S = np.where(large[:, None, None], S, 0.0)
-    inner = blocks.gradients.reshape(-1, 3, 3)
-    g = np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
-    volume = blocks.zone_volume
-    dot = np.einsum("eai,ebi->eab", g, g)
-    pressed = np.einsum("eai,eij,ebj->eab", g, S, g)
-    moved = np.einsum("eij,eaj->eai", F, g)  # F g_a
-    K = np.einsum("e,eai,ebj->eaibj", volume * lam, moved, moved)
-    K += np.einsum("e,ebi,eaj->eaibj", volume * mu, moved, moved)
-    K += np.einsum("e,eab,eij->eaibj", volume * mu, dot, F @ np.swapaxes(F, 1, 2))
-    K += np.einsum("e,eab,ij->eaibj", volume, pressed, np.eye(3))
-    place = blocks.dofs.start + 3 * blocks._nodes[:, :, None].astype(np.int64) + np.arange(3)
-    rows = np.broadcast_to(place[:, :, :, None, None], K.shape)
-    columns = np.broadcast_to(place[:, None, None, :, :], K.shape)
-    return rows.ravel(), columns.ravel(), K.ravel()

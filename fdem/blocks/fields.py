@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from fdem.blocks import entries, fieldmasses
 from fdem.blocks.bounds import Springs, share
+from fdem.blocks.zoneforces import rotation_vectors
 from fdem.errors import SceneError
 from fdem.kernels import fields as kernels
 
@@ -18,7 +19,7 @@ __all__ = ["FieldBlocks"]
 Array = npt.NDArray[np.float64]
 
 
-class FieldBlocks:
+class FieldBlocks(entries.Additive):
     """Blocks ``x = X + (c - C) + sum_k B_k phi_k(X) - (X - C)``: constant mass M, constant placement P.
 
     The first three functions are ``X - C``, so the first three coefficients are the deformation gradient F. All
@@ -323,6 +324,10 @@ class FieldBlocks:
         """Rotation vectors (n_blocks, 3) [rad] of the last step, exact at any angle below pi."""
         return self._turned
 
+    def turned(self, q0: Array, q: Array, d: Array) -> Array:
+        """Rotation vectors (n_blocks, 3) [rad] of the increment `d` from `q0` to `q`."""
+        return rotation_vectors(self.rotation(q) @ np.swapaxes(self.rotation(q0), 1, 2))
+
     def second_moments(self, q: Array) -> Array:
         """Integral of ``rho r r^T`` about the centres now (n_blocks, 3, 3) [kg m^2]."""
         B = self._rows(self._q(q))
@@ -392,9 +397,18 @@ class FieldBlocks:
         first = self.dofs.start + self.width * np.arange(self.n_blocks) + 3
         return entries.of_blocks(first, self.stiffness(q))
 
-    def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
-        """Nothing: the placement is constant."""
-        return entries.nothing()
+    def jacobian(self, q: Array) -> entries.Entries:
+        """``P`` of `push`: rows 3 gp + axis of the model, columns its unknowns; constant."""
+        rows = 3 * (self.gridpoints.start + np.arange(len(self.phi)))[:, None] + np.arange(3)
+        first = (self.dofs.start + self.width * self._owner)[:, None] + np.arange(3)
+        inner = np.arange(3 * self.k).reshape(3, self.k) + 3 - np.arange(3)[:, None] + first[:, :, None]
+        columns = np.concatenate([first[:, :, None], inner], axis=2)
+        values = np.concatenate([np.ones((len(self.phi), 1)), self.phi], axis=1)[:, None, :]
+        return (
+            np.repeat(rows.ravel(), self.k + 1),
+            columns.ravel(),
+            np.broadcast_to(values, columns.shape).ravel(),
+        )
 
     # views of the flat arrays
 

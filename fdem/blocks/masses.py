@@ -8,8 +8,16 @@ from typing import Any
 import numpy as np
 
 from fdem.blocks.voronoi import voronoi_masses
+from fdem.errors import SceneError
 
-__all__ = ["InertiaCorrection", "block_moments", "lumped_moments", "row_sum_masses", "voronoi_masses"]
+__all__ = [
+    "InertiaCorrection",
+    "block_moments",
+    "lumped_moments",
+    "principal_axes",
+    "row_sum_masses",
+    "voronoi_masses",
+]
 
 Array = Any
 
@@ -153,3 +161,20 @@ class InertiaCorrection:
         )
         projected = np.swapaxes(root, 1, 2) @ (gradient + contact) @ root
         return np.linalg.eigvalsh(projected)[:, -1]
+
+
+def principal_axes(inertia: Array) -> tuple[Array, Array]:
+    """Principal moments (n, 3) [kg m^2] and directions (n, 3, 3) in columns, right-handed.
+
+    Normalised by the trace first, so that the same body in another unit of length gets the same axes to the last bit.
+    """
+    if len(inertia) == 0:
+        return np.zeros((0, 3)), np.zeros((0, 3, 3))
+    if not np.isfinite(inertia).all():
+        bad = int(np.flatnonzero(~np.isfinite(inertia).all(axis=(1, 2)))[0])
+        raise SceneError(f"rigid block {bad}: inertia is not finite")
+    size = np.trace(inertia, axis1=1, axis2=2)
+    size = np.where(size > 0.0, size, 1.0)
+    moments, axes = np.linalg.eigh(inertia / size[:, None, None])
+    axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
+    return np.ascontiguousarray(moments * size[:, None]), np.ascontiguousarray(axes)

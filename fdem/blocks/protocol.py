@@ -26,8 +26,8 @@ class Blocks(Protocol):
         gridpoint forces are generalised forces, in the same memory.
     turns, has_strain : bool
         Whether `turn` gives the rotation of a step, to be accumulated; whether blocks have stress and strain.
-    coupled : bool
-        Whether the mass matrix couples unknowns, so that conditions on them are `Coupled`.
+    coupled, steady : bool
+        Whether the mass matrix couples unknowns, so that conditions on them are `Coupled`; whether it is constant.
     rows : (n_blocks,) int array
         Row of each block in the model.
     """
@@ -41,6 +41,7 @@ class Blocks(Protocol):
     turns: bool
     has_strain: bool
     coupled: bool
+    steady: bool
     rows: np.ndarray
 
     def start(self, q: np.ndarray) -> None:
@@ -161,3 +162,21 @@ class Blocks(Protocol):
 
     def geometric(self, q: np.ndarray, f_gp: np.ndarray) -> Entries:
         """Derivative ``(dP^T/dq) f_gp`` of `pull` at constant gridpoint forces; not symmetric in general."""
+
+    def jacobian(self, q: np.ndarray) -> Entries:
+        """``P(q)`` of `push`: rows 3 gp + axis of the whole model, columns its unknowns."""
+
+    def groups(self) -> np.ndarray:
+        """Unknowns (m, k) that belong together, k of a block or gridpoint: for preconditioners."""
+
+    def shift(self, q: np.ndarray, d: np.ndarray) -> None:
+        """Move `q` by the increment `d` of the unknowns."""
+
+    def compose(self, d: np.ndarray, change: np.ndarray) -> None:
+        """Let the increment `d` be that of `d` and then `change`."""
+
+    def turned(self, q0: np.ndarray, q: np.ndarray, d: np.ndarray) -> np.ndarray:
+        """Rotation vectors (n_blocks, 3) [rad] of the increment `d` from `q0` to `q`; zeros if not `turns`."""
+
+    def gyroscopic(self, q: np.ndarray, v: np.ndarray, f: np.ndarray) -> None:
+        """Subtract from `f` what the change of the inertia costs: ``M a = f`` then holds at one instant."""

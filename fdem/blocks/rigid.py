@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from fdem.blocks import entries
 from fdem.blocks.bounds import Springs, joint_stiffness, share
+from fdem.blocks.masses import principal_axes
 from fdem.errors import SceneError
 from fdem.kernels import blocks as kernels
 
@@ -15,7 +16,7 @@ __all__ = ["RigidBlocks"]
 Array = npt.NDArray[np.float64]
 
 
-class RigidBlocks:
+class RigidBlocks(entries.Stiff):
     """All rigid blocks of a model, one batch of the `Blocks` protocol.
 
     The configuration of a block is its centroid and the unit quaternion (w, x, y, z) of its rotation *since the start*;
@@ -57,6 +58,7 @@ class RigidBlocks:
     turns = True
     coupled = False
     has_strain = False
+    steady = False
 
     def __init__(
         self,
@@ -72,7 +74,7 @@ class RigidBlocks:
         self.dofs, self.coords, self.gridpoints = dofs, coords, gridpoints
         self.n_blocks = len(mass)
         self.mass = np.ascontiguousarray(mass, dtype=np.float64)
-        self.moments, self.axes = _principal_axes(np.asarray(inertia, dtype=np.float64))
+        self.moments, self.axes = principal_axes(np.asarray(inertia, dtype=np.float64))
         for name, positive in (("mass", self.mass), ("inertia", self.moments.min(axis=1, initial=np.inf))):
             bad = np.flatnonzero(~(np.isfinite(positive) & (positive > 0.0)))
             if len(bad):
@@ -398,20 +400,29 @@ class RigidBlocks:
         """Mass matrix at the configuration `q`."""
         return entries.of_blocks(self.dofs.start + 6 * np.arange(self.n_blocks), self.generalised_mass(q))
 
-    def tangent(self, q: Array, x: Array) -> entries.Entries:
-        """Nothing: there are no internal forces."""
-        return entries.nothing()
-
     def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
         """``(dP^T/dq) f_gp``: moments about the centroid change as arms turn, ``sum [f]x [r]x`` by rotation.
 
         Of gridpoint forces `f_gp` (n_gp, 3) [N] at the configuration `q`.
         """
-        arm = np.einsum("nij,nj->ni", np.repeat(self.rotation(q), np.diff(self._start), axis=0), self._arms())
+        arm = self._turned(q)
         force = f_gp[self.gridpoints]
         # [f]x [r]x = r f^T - (f.r) 1
         turned = arm[:, :, None] * force[:, None, :] - np.sum(arm * force, axis=1)[:, None, None] * np.eye(3)
         return entries.of_blocks(self.dofs.start + 6 * np.arange(self.n_blocks) + 3, self._sum(turned))
+
+    def shift(self, q: Array, d: Array) -> None:
+        """Move `q` by the translations and rotation vectors in `d` (n_dofs,) [m, rad]."""
+        entries.turn(self._q(q), self._v(d))
+
+    def gyroscopic(self, q: Array, v: Array, f: Array) -> None:
+        """Subtract ``omega x I omega`` from the moments `f` [N m]."""
+        spin = self._v(v)[:, 3:]
+        self._v(f)[:, 3:] -= np.cross(spin, np.einsum("nij,nj->ni", self.inertia(q), spin))
+
+    def jacobian(self, q: Array) -> entries.Entries:
+        """``P(q)`` of `push`: rows 3 gp + axis of the model, columns its unknowns."""
+        return entries.of_arms(self.gridpoints.start, self._turned(q), self.groups(), np.diff(self._start))
 
     def _q(self, q: Array) -> Array:
         return q[self.coords].reshape(self.n_blocks, 7)
@@ -422,6 +433,10 @@ class RigidBlocks:
     def _arms(self) -> Array:
         return self._X - np.repeat(self.centre0, np.diff(self._start), axis=0)
 
+    def _turned(self, q: Array) -> Array:
+        """Arms of the gridpoints (n, 3) [m] from the centroids now."""
+        return np.einsum("nij,nj->ni", np.repeat(self.rotation(q), np.diff(self._start), axis=0), self._arms())
+
     def _current_axes(self, q: Array) -> Array:
         return self.rotation(q) @ self.axes
 
@@ -429,20 +444,3 @@ class RigidBlocks:
         """Sum over the gridpoints of each block (none is empty)."""
         total: Array = np.add.reduceat(per_gridpoint, self._start[:-1], axis=0)
         return total
-
-
-def _principal_axes(inertia: Array) -> tuple[Array, Array]:
-    """Principal moments (n, 3) [kg m^2] and directions (n, 3, 3) in columns, right-handed.
-
-    Normalised by the trace first, so that the same body in another unit of length gets the same axes to the last bit.
-    """
-    if len(inertia) == 0:
-        return np.zeros((0, 3)), np.zeros((0, 3, 3))
-    if not np.isfinite(inertia).all():
-        bad = int(np.flatnonzero(~np.isfinite(inertia).all(axis=(1, 2)))[0])
-        raise SceneError(f"rigid block {bad}: inertia is not finite")
-    size = np.trace(inertia, axis1=1, axis2=2)
-    size = np.where(size > 0.0, size, 1.0)
-    moments, axes = np.linalg.eigh(inertia / size[:, None, None])
-    axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
-    return np.ascontiguousarray(moments * size[:, None]), np.ascontiguousarray(axes)

@@ -15,7 +15,7 @@ __all__ = ["SphereBlocks"]
 Array = npt.NDArray[np.float64]
 
 
-class SphereBlocks:
+class SphereBlocks(entries.Stiff):
     """All spheres of a model, one batch of the `Blocks` protocol.
 
     The configuration of a sphere is its centre, the gridpoint it has; its velocity that of the centre and the angular
@@ -43,6 +43,7 @@ class SphereBlocks:
     has_strain = False
     coupled = False
     oriented = False
+    steady = True
 
     def __init__(
         self, centre: Array, radius: Array, mass: Array, dofs: slice, coords: slice, gridpoints: slice
@@ -222,13 +223,21 @@ class SphereBlocks:
         own = np.arange(self.dofs.start, self.dofs.stop)
         return own, own, masses.ravel()
 
-    def tangent(self, q: Array, x: Array) -> entries.Entries:
-        """Nothing: there are no internal forces."""
-        return entries.nothing()
-
     def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
         """Nothing: forces act at the centres."""
         return entries.nothing()
+
+    def shift(self, q: Array, d: Array) -> None:
+        """Move the centres by the translations in `d` (n_dofs,) [m]."""
+        self._q(q)[:] += self._v(d)[:, :3]
+
+    def gyroscopic(self, q: Array, v: Array, f: Array) -> None:
+        """Nothing: angular velocity and momentum of a sphere are parallel."""
+
+    def jacobian(self, q: Array) -> entries.Entries:
+        """``P`` of `push`: rows 3 gp + axis of the model, columns its unknowns."""
+        rows = 3 * self.gridpoints.start + np.arange(3 * self.n_blocks)
+        return rows, self.groups()[:, :3].ravel(), np.ones(len(rows))
 
     def _q(self, q: Array) -> Array:
         return q[self.coords].reshape(self.n_blocks, 3)

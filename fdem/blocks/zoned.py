@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from fdem.blocks.assembly import coupling_norms, elastic_stiffness
 from fdem.blocks.bounds import Springs, share
 from fdem.blocks.masses import InertiaCorrection, block_moments, lumped_moments, row_sum_masses, voronoi_masses
 from fdem.blocks.zoneforces import LargeStrain, SmallStrain, rotation_vectors
+from fdem.blocks.zonetangents import ZonePattern
 from fdem.errors import MeshError, SceneError
 from fdem.kernels import stiffness
 from fdem.kernels import zones as kernels
@@ -25,7 +27,7 @@ _SWEEPS = 12  # power sweeps of the frequency bound: 0.75 of the true step becom
 _MASS_RULES = ("voronoi", "row-sum", "inertia-matched")
 
 
-class ZonedBlocks:
+class ZonedBlocks(entries.Additive):
     """All zoned blocks of a model.
 
     Parameters
@@ -322,6 +324,10 @@ class ZonedBlocks:
         weight = gravity * float(self.gp_mass.max())
         return share(max(float(left.max()), 0.0), max(acting, weight, float(pushes[self.gridpoints].max(initial=0.0))))
 
+    def jacobian(self, q: Array) -> entries.Entries:
+        """``P`` of `push`: rows 3 gp + axis of the model, columns its unknowns: the positions themselves."""
+        return entries.same(3 * self.gridpoints.start, self.dofs)
+
     # recovery
 
     def dofs_of(self, row: int) -> slice:
@@ -363,9 +369,6 @@ class ZonedBlocks:
     def angular_momentum(self, q: Array, v: Array, x: Array) -> Array:
         """Angular momentum about the centroids (n_blocks, 3) [kg m^2/s]."""
         return recovery.angular_momentum(self, v, x)
-
-    def theory(self, row: int, q: Array) -> None:
-        """None: the unknowns are the theory's."""
 
     def mass_of(self, row: int, q: Array) -> Array:
         """Mass matrix (3 n, 3 n) of one block with n gridpoints."""
@@ -430,16 +433,15 @@ class ZonedBlocks:
 
     def tangent(self, q: Array, x: Array) -> entries.Entries:
         """Derivative of the internal forces by the unknowns."""
-        return entries.zone_tangent(self, x)
+        return entries.of_pairs(self.dofs.start, *self.pattern.pairs, self.pattern.blocks(x))
 
-    def geometric(self, q: Array, f_gp: Array) -> entries.Entries:
-        """Nothing: the placement is constant."""
-        return entries.nothing()
+    @cached_property
+    def pattern(self) -> ZonePattern:  # noqa: D102
+        return ZonePattern(self)
 
     def stiffness(self) -> Any:
         """Return K (3n, 3n), scipy CSR, of linear elasticity at the reference configuration, from scikit-fem [N/m]."""
-        block = self.zone_block
-        return elastic_stiffness(self.X, self._nodes, self.lam[block], self.mu[block])
+        return elastic_stiffness(self.X, self._nodes, self.lam[self.zone_block], self.mu[self.zone_block])
 
     def executor(self) -> ThreadPoolExecutor:
         """Return the pool of helper threads, started at the first call."""

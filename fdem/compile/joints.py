@@ -88,11 +88,12 @@ class JointTables:
         JointError
             If a law of the user's own does not keep to the signature or to its columns.
         """
-        result = []
+        result: list[LawTable] = []
         for law, rows, reach, corner in zip(self.kinds, self.rows, self.reach, self.corner, strict=True):
             name, kernel = type(law).__name__, law.sweep
             if isinstance(kernel, str):
-                result.append(LawTable(kernel, np.array(rows), corner=np.array(corner)))
+                hard = self._hard(len(result))
+                result.append(LawTable(kernel, np.array(rows), corner=np.array(corner), hard=hard))
                 continue
             columns, needs = _declared(name, law)
             table = LawTable(
@@ -103,10 +104,16 @@ class JointTables:
                 closure=type(law).closure,
                 reach=np.array(reach),
                 corner=np.array(corner),
+                smooth=bool(type(law).smooth),
             )
             try_law(name, table)
             result.append(table)
         return result
+
+    def _hard(self, law: int) -> np.ndarray | None:
+        """Friction coefficient, cohesion, tension and restitution (n, 4) of a law's rows; None if it has none."""
+        rows = [rule.law.hard() for rule, (k, _) in zip(self.rules, self.location, strict=True) if k == law]
+        return None if any(row is None for row in rows) else np.array(rows, dtype=float).reshape(-1, 4)
 
     def _side(self, target: Any, faces: bool) -> _Side:
         """What a selector means: blocks, and tags of faces; a cutting shape's name means faces only if `faces`."""

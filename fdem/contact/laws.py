@@ -85,6 +85,10 @@ class LawTable:
         Length [m] over which closure changes the normal stiffness; infinite: it does not.
     corner : (n_props,) array, optional
         Least area of a contact [m2] (kernels/corners.py); 0: none.
+    smooth : bool
+        Whether differences of the law are a tangent: for implicit methods.
+    hard : (n_props, 4) array, optional
+        Friction coefficient, cohesion [Pa], tension [Pa] and restitution of the hard counterpart; None: none.
 
     Attributes
     ----------
@@ -101,6 +105,8 @@ class LawTable:
     closure: Any = None
     reach: Any = None
     corner: Array | None = None
+    smooth: bool = False
+    hard: Array | None = None
 
     def __post_init__(self) -> None:
         self.props = np.atleast_2d(np.ascontiguousarray(self.props, dtype=float))
@@ -110,6 +116,7 @@ class LawTable:
         traits |= {"damped": "damping" in self.needs, "arms": "arms" in self.needs, "lengths": np.zeros((n, 2))}
         traits |= {"columns": self.columns, "reach": np.full(n, np.inf) if self.reach is None else self.reach}
         if isinstance(self.kernel, str):
+            self.smooth = True
             if self.kernel not in KNOWN:
                 raise SceneError(f"joint law {self.kernel!r}: known names are {', '.join(map(repr, KNOWN))}")
             self.sweep = getattr(joints, self.kernel)
@@ -120,6 +127,11 @@ class LawTable:
         self.tensile, self.dilates, self.brittle = traits["tensile"], traits["dilates"], traits["brittle"]
         self.damped, self.arms, self.lengths = traits["damped"], traits["arms"], traits["lengths"]
         self.columns, self.reach = tuple(traits["columns"]), np.asarray(traits["reach"], dtype=float)
+
+    @property
+    def name(self) -> str:
+        """What messages call the law."""
+        return self.kernel if isinstance(self.kernel, str) else self.kernel.__name__
 
     @property
     def memory(self) -> int:

@@ -134,6 +134,13 @@ class SphereContacts:
         self._prepare(x)
         self.work[0] += before - self._shear_energy()
 
+    def touching(self) -> NDArray[np.int64]:
+        """Blocks (n, 2) of contacts that are listed, open ones included."""
+        p, f = self.particles, self.faces
+        first, second = self.pair_particles()
+        pairs = np.column_stack([p.block[first], p.block[second]]).astype(np.int64)
+        return np.concatenate([pairs, np.column_stack([p.block[self.order[f.at]], f.block])]).astype(np.int64)
+
     def places(self) -> NDArray[np.int64]:
         """Packed place of every particle."""
         place = np.empty(len(self.order), np.int64)

@@ -12,16 +12,15 @@ from fdem.blocks.bounds import Springs
 from fdem.constraints import Constraints
 from fdem.contact.wear import refuse_leaps
 from fdem.errors import UnstableError
+from fdem.integrate.pace import Pace
 from fdem.loads import Bedding, Dashpot, Load, Torque
 from fdem.model import Model
 from fdem.state import State
 
 __all__ = ["System"]
 
-MOTION = 2e-3  # of the smallest block's size per step: corners meet with next to no stiffness, which then grows fast
 
-
-class System:
+class System(Pace):
     """Forces, masses and kinematics of a compiled scene; knows no formulation and no joint law.
 
     Parameters
@@ -57,6 +56,10 @@ class System:
         self.lag = 0.0  # time by which v is behind q: 0 before the first step, then half a step [s]
         self.dt = 0.0  # the last step [s]
         self.fictitious = False  # masses are scaled: time and velocities have no meaning of their own
+        self.mean_contact: np.ndarray | None = None  # forces of hard contact over the last step, in place of springs
+        self.hard_table: dict[str, Any] | None = None
+        self.a_old: np.ndarray | None = None  # acceleration that implicit steps go on from
+        self.given: np.ndarray | None = None  # prescribed increments of the last implicit step
         self.work = 0.0
         self.damped = 0.0
         self.scaled: list[Any] = [None] * len(model.batches)
@@ -74,7 +77,7 @@ class System:
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
         self._moving = max((b.gridpoints.stop for b in model.batches), default=0)  # those of fixed blocks come last
-        self._first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
+        self.first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
         self.stiffening = contacts is not None and contacts.curved  # joints whose stiffness grows as they close
         self._torques = [load for load in loads if isinstance(load, Torque)]
         self._turning = np.zeros_like(state.v) if self._torques else None
@@ -92,7 +95,9 @@ class System:
         """The force terms this scene needs, in order."""
         state = self.state
         terms: list[Callable[[], None]] = []
-        if self.contacts is not None:
+        if self.mean_contact is not None:
+            terms.append(partial(np.add, state.f_gp, self.mean_contact, out=state.f_gp))
+        elif self.contacts is not None:
             terms.append(lambda: self.contacts.forces(state.x, state.x_old, self._real_dt, state.f_gp))
         if self.particles is not None:
             terms.append(lambda: self.particles.forces(state.x, state.x_old, self._real_dt, state.f_gp, state.f))
@@ -141,7 +146,7 @@ class System:
         """Generalised forces f(t, q, v) of the present configuration [N, N m]."""
         if not self.current:
             # gridpoints whose positions are unknowns share memory with f: only the others are cleared here
-            self.state.f_gp[self._first_pulled :].fill(0.0)
+            self.state.f_gp[self.first_pulled :].fill(0.0)
             np.copyto(self.state.f, self.weight)
             for term in self._terms:
                 term()
@@ -186,6 +191,31 @@ class System:
         if self._keeps_old:
             self.state.x_old[: self._moving] = self.state.x[: self._moving]
 
+    def keep_motion(self, d: np.ndarray) -> None:
+        """Take note of the increment `d` (n_dofs,) of an implicit step, for the work of moments and reactions."""
+        if self._spun is not None:
+            self._spun[:] = d
+        if self._reaction_old is not None:
+            self.given = self.constraints.given(d)
+
+    def harden(self) -> None:
+        """Leave the forces of penalty contacts out; mean forces over the last step take their place."""
+        self.mean_contact = np.zeros_like(self.state.f_gp)
+        self._terms = self._choose_terms()
+        self.current = False
+
+    def commit_loads(self) -> None:
+        """Work of loads up to here; positions as those of the last commit."""
+        self.work += self.pending_work()
+        if self._load_old is not None:
+            self._load_old[:] = self.f_load
+        self.state.x_old[:] = self.state.x
+
+    def contact_table(self) -> dict[str, Any]:
+        """Contact points as a dict of arrays: of the last forces, or of the last impulses."""
+        table: dict[str, Any] = self.contacts.table(self.state.x) if self.hard_table is None else self.hard_table
+        return table
+
     def pending_work(self) -> float:
         """Work [J] of loads and prescribed motion over the last step, by the trapezoidal rule."""
         work = 0.0
@@ -195,8 +225,8 @@ class System:
         if self._turning_old is not None and self.state.step > 0:
             work += 0.5 * float((self._turning_old + self._turning) @ self._spun)
         if self._reaction_old is not None and self.state.step > 0:
-            given = self.constraints.given(self.state.v)
-            work -= 0.5 * self.dt * float((self._reaction_old + self.state.f) @ given)
+            given = self.dt * self.constraints.given(self.state.v) if self.given is None else self.given
+            work -= 0.5 * float((self._reaction_old + self.state.f) @ given)
         return work
 
     def advance(self, dt: float) -> None:
@@ -255,6 +285,10 @@ class System:
                 batch.push(self.state.q, self.state.v, speed)
         return speed
 
+    def bedded(self) -> list[np.ndarray]:
+        """Gridpoints of every elastic support."""
+        return [load.gp for load in self.loads if isinstance(load, Bedding)]
+
     def stiffened(self) -> bool:
         """Whether contact stiffness grew by 2 % of its block's largest anywhere, or halved in all, since last asked."""
         if self.particles is not None and self.particles.stiffened(self._speeds()):
@@ -269,83 +303,6 @@ class System:
                 return False
         self._k_used = k
         return True
-
-    def unseen_motion(self) -> float:
-        """Longest step [s] in which no block moves so far that a stiff contact goes unseen; infinite at rest."""
-        speed, faced = self._pushed(self.state.v), np.ones(self.model.n_blocks, dtype=bool)
-        unseen = np.inf
-        if self.particles is not None:
-            faced[self.particles.particles.block] = False
-            unseen = self.particles.unseen_motion(speed)
-        if not faced.any():
-            return unseen
-        square = np.einsum("ni,ni->n", speed, speed) * faced[self.model.gp_block]
-        fastest = float(np.sqrt(square.max(initial=0.0)))
-        size = float(self.model.size[faced & ~self.model.fixed].min(initial=np.inf))
-        return min(unseen, MOTION * size / fastest) if fastest > 0.0 else unseen
-
-    def slow_down(self, dt: float) -> None:
-        """Take away from the velocities what would move a block by more than MOTION of its size in `dt`."""
-        state, model = self.state, self.model
-        if dt * self._speed_bound() <= MOTION * self._smallest:
-            return
-        speed = self._pushed(state.v)
-        path = dt * np.sqrt(np.einsum("ni,ni->n", speed, speed))
-        if not (path > MOTION * model.size[model.gp_block]).any():
-            return
-        longest = np.zeros(model.n_blocks)
-        np.maximum.at(longest, model.gp_block, path)
-        factor = np.minimum(1.0, MOTION * model.size / np.maximum(longest, np.finfo(float).tiny))
-        before = self.scaled_kinetic(state.v)
-        for batch in model.batches:
-            rows = model.gp_block[batch.gridpoints] if batch.in_place else batch.rows
-            v = state.v[batch.dofs].reshape(len(rows), -1)
-            v *= factor[rows][:, None]
-        self.damped += 0.5 * (before - self.scaled_kinetic(state.v))
-
-    def _speed_bound(self) -> float:
-        """At least the largest speed of any gridpoint [m/s]."""
-        bound, speed = 0.0, np.zeros_like(self.state.x)
-        for batch in self.model.batches:
-            if batch.in_place:
-                bound = max(bound, 2.0 * float(np.abs(self.state.v[batch.dofs]).max(initial=0.0)))  # 2 > sqrt(3)
-            else:
-                batch.push(self.state.q, self.state.v, speed)
-                own = speed[batch.gridpoints]
-                bound = max(bound, float(np.sqrt(np.einsum("ni,ni->n", own, own).max(initial=0.0))))
-        return bound
-
-    def safe_closing(self) -> float:
-        """Longest step t [s] in which no joint that stiffens closes further than it can take; kicks last lag + t/2."""
-        a = self._pushed(self.accelerate(self.forces()))
-        speed = self._pushed(self.state.v) + self.lag * a
-        return float(self.contacts.pace(speed, 0.5 * a).min(initial=np.inf))
-
-    def _pushed(self, v: np.ndarray) -> np.ndarray:
-        """Values at gridpoints (n_gp, 3) of generalised velocities or accelerations."""
-        result = np.zeros_like(self.state.x)
-        for batch in self.model.batches:
-            batch.push(self.state.q, v, result)
-        return result
-
-    def brake(self, dt: float) -> None:
-        """Slow down blocks that would close a stiffening joint further than it can take in `dt`; fictitious time only.
-
-        Parameters
-        ----------
-        dt : float
-            The step to come.
-        """
-        speed = self._pushed(self.state.v)
-        share = np.minimum(self.contacts.pace(speed, np.zeros_like(speed)) / dt, 1.0)
-        if (share == 1.0).all():
-            return
-        v, before = self.state.v, self.scaled_kinetic(self.state.v)
-        for batch in self.model.batches:
-            owner = self.model.gp_block[batch.gridpoints] if batch.in_place else batch.rows
-            mine = v[batch.dofs].reshape(len(owner), -1)
-            mine *= share[owner][:, None]
-        self.damped += 0.5 * (before - self.scaled_kinetic(v))
 
     def block_frequencies(self) -> np.ndarray:
         """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""
@@ -413,7 +370,7 @@ class System:
         unbalanced = self.state.f.copy()
         self.constraints.release(unbalanced)
         pushes = np.linalg.norm(self.state.f_gp, axis=1)
-        pushes[: self._first_pulled] = 0.0  # there f_gp is the sum of all forces
+        pushes[: self.first_pulled] = 0.0  # there f_gp is the sum of all forces
         if self.particles is not None:
             self.particles.add_pushes(pushes)
         if self.f_load is not None:

@@ -25,12 +25,30 @@ def _gradients(gp, i, thick, x, out):
 
 
 @kernel
-def _spread(i, row, w, foot, inner, sink, turn, shift, force, normal, gradients, height, out):
+def _answer(rows, push, area, response, w, foot, normal, row, dF):
+    """Derivatives (3, 7, 3) of the force of `row` through depth and slip at the points `rows` of its patch."""
+    for d in range(3):
+        for n in range(7):
+            for k in range(3):
+                dF[d, n, k] = 0.0
+    for q in range(3):
+        if not (response[row, q] != 0.0).any():
+            continue
+        for d in range(3):
+            sink = area[row] * (response[row, q, 1 + d, 0] - push[d] * response[row, q, 0, 0])
+            for k in range(3):
+                inner = area[row] * (response[row, q, 1 + d, 1 + k] - push[d] * response[row, q, 0, 1 + k])
+                for n in range(7):
+                    dF[d, n, k] += inner * w[rows + q, n] - sink * normal[k] * foot[q, n]
+
+
+@kernel
+def _spread(i, row, w, foot, dF, turn, shift, force, normal, gradients, height, out):
     """Add the derivatives of one row's force, given to the gridpoints of slave and master, to ``out[i]``.
 
     On the master the part along the face normal acts at the foot of the point, the rest at the point itself.
     """
-    plane, dF, dn, across = np.empty((4, 3)), np.empty((3, 7, 3)), np.zeros((3, 7, 3)), 0.0
+    plane, dn, across = np.empty((4, 3)), np.zeros((3, 7, 3)), 0.0
     for d in range(3):
         across += normal[d] * force[d]
     for m in range(4):  # gradients within the face
@@ -40,12 +58,11 @@ def _spread(i, row, w, foot, inner, sink, turn, shift, force, normal, gradients,
     for n in range(7):
         for k in range(3):
             for d in range(3):
-                value = inner[d, k] * w[row, n] - sink[d] * normal[k] * foot[n]
                 if n < 3:
-                    value += turn[d, 0] * shift[n, 0, k] + turn[d, 1] * shift[n, 1, k] + turn[d, 2] * shift[n, 2, k]
+                    for j in range(3):
+                        dF[d, n, k] += turn[d, j] * shift[n, j, k]
                 else:
                     dn[d, n, k] = -plane[n - 3, d] * normal[k]
-                dF[d, n, k] = value
     for n in range(7):
         for k in range(3):
             along = normal[0] * dF[0, n, k] + normal[1] * dF[1, n, k] + normal[2] * dF[2, n, k]
@@ -73,7 +90,7 @@ def contact_tangent(gp, active, thick, x, w, area, push, face_normal, traction, 
     |---|---|---|---|
     | gp, active, thick, push, face_normal | | | as in `patches.fill_rows` |
     | w, area, traction | (3 n, 7), (3 n,), (3 n, 4) | | rows, as the joint laws left them |
-    | response | (3 n, 4, 4) | Pa/m | derivatives of (pressure, shear traction) by (depth, slip) |
+    | response | (3 n, 3, 4, 4) | Pa/m | derivatives of (pressure, shear traction) by (depth, slip) at 3 points |
     | out | (n, 7, 3, 7, 3) | N/m | out: d force of gridpoint (a, i) / d position of gridpoint (b, j) |
 
     Notes
@@ -83,8 +100,8 @@ def contact_tangent(gp, active, thick, x, w, area, push, face_normal, traction, 
     point against its foot on the master face, the area vector with the slave's edges, and the weights on the master
     with ``grad w . du``. Where contact ends the pressure is zero, so that the moving border adds nothing.
     """
-    gradients, inner, turn = np.empty((4, 3)), np.empty((3, 3)), np.empty((3, 3))
-    force, sink, shift, foot = np.empty(3), np.empty(3), np.empty((3, 3, 3)), np.empty(7)
+    gradients, dF, turn = np.empty((4, 3)), np.empty((3, 7, 3)), np.empty((3, 3))
+    force, height, shift, foot = np.empty(3), np.empty(3), np.empty((3, 3, 3)), np.empty((3, 7))
     for i in range(len(gp)):
         out[i] = 0.0
         if active[i] == 0:
@@ -95,22 +112,23 @@ def contact_tangent(gp, active, thick, x, w, area, push, face_normal, traction, 
         double = math.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2)
         _gradients(gp, i, thick[i], x, gradients)
         for row in range(3 * i, 3 * i + 3):
-            pressure = traction[row, 0]
-            for d in range(3):
-                force[d] = area[row] * (traction[row, 1 + d] - pressure * push[i, d])
-                sink[d] = area[row] * (response[row, 1 + d, 0] - push[i, d] * response[row, 0, 0])
-                for k in range(3):
-                    inner[d, k] = area[row] * (response[row, 1 + d, 1 + k] - push[i, d] * response[row, 0, 1 + k])
-                    turn[d, k] = traction[row, 1 + d] * push[i, k] - (pressure if d == k else 0.0)
-            height = 0.0
+            q = row - 3 * i
+            height[q] = 0.0
             for d in range(3):
                 at = w[row, 0] * x[a, d] + w[row, 1] * x[b, d] + w[row, 2] * x[c, d]
-                height += face_normal[i, d] * (x[gp[i, 3], d] - at)
+                height[q] += face_normal[i, d] * (x[gp[i, 3], d] - at)
             for m in range(7):
-                foot[m] = w[row, m]
+                foot[q, m] = w[row, m]
                 if m >= 3:
                     for d in range(3):
-                        foot[m] -= gradients[m - 3, d] * face_normal[i, d] * height
+                        foot[q, m] -= gradients[m - 3, d] * face_normal[i, d] * height[q]
+        for row in range(3 * i, 3 * i + 3):
+            q, pressure = row - 3 * i, traction[row, 0]
+            for d in range(3):
+                force[d] = area[row] * (traction[row, 1 + d] - pressure * push[i, d])
+                for k in range(3):
+                    turn[d, k] = traction[row, 1 + d] * push[i, k] - (pressure if d == k else 0.0)
+            _answer(3 * i, push[i], area, response, w, foot, face_normal[i], row, dF)
             # d A / d position of the slave's gridpoints, times area / |e1 x e2|
             share = area[row] / double
             for d in range(3):
@@ -120,4 +138,4 @@ def contact_tangent(gp, active, thick, x, w, area, push, face_normal, traction, 
                 for k in range(3):
                     shift[1, k, d], shift[2, k, d] = second[k], third[k]
                     shift[0, k, d] = -second[k] - third[k]
-            _spread(i, row, w, foot, inner, sink, turn, shift, force, face_normal[i], gradients, height, out)
+            _spread(i, row, w, foot[q], dF, turn, shift, force, face_normal[i], gradients, height[q], out)

@@ -40,7 +40,9 @@ class Joint:
     - ``needs``: of "bonds" (it carries tension, memory 3 tells whether the bond holds), "dilation" (memory 5 lifts the
       faces), "damping" (it reads ``mass``), "arms" (it reads ``arm``);
     - ``closure``, only if pressure is not ``kn depth``: a kernel that tells pressure, tangent stiffness and energy, and
-      the property ``reach`` [m], over which closure changes the stiffness. The stable step follows the tangent.
+      the property ``reach`` [m], over which closure changes the stiffness. The stable step follows the tangent;
+    - ``smooth = True``, if differences of the tractions over small changes of depth and slip are their derivatives but
+      for kinks: implicit integrators ask for it.
 
     and has the method ``properties(kn, ks)``. See ``examples/user_law.py``.
     """
@@ -53,6 +55,7 @@ class Joint:
     memory: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[frozenset[str] | set[str]] = frozenset()
     for_faces: ClassVar[bool] = True
+    smooth: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         owner = type(self).__name__
@@ -64,6 +67,10 @@ class Joint:
     def properties(self, kn: float, ks: float) -> tuple[float, ...]:
         """Row of the property table that the law's sweep reads; the first two are kn and ks [Pa/m]."""
         raise UnsupportedError(f"{type(self).__name__}: a law needs properties(kn, ks)")
+
+    def hard(self) -> tuple[float, float, float, float] | None:
+        """Friction coefficient, cohesion [Pa], tension [Pa], restitution for `ContactDynamics`; None: no such law."""
+        return None
 
     @property
     def sweep(self) -> Any:
@@ -171,6 +178,10 @@ class Coulomb(Joint):
             *((float(self.rolling), float(self.twisting)) if self.sweep == "coulomb_moments" else ()),
         )
 
+    def hard(self) -> tuple[float, float, float, float]:
+        """Friction, cohesion, tension and restitution (0 if None) of hard contact."""
+        return _tan(self.friction), float(self.cohesion), float(self.tension), float(self.restitution or 0.0)
+
     @property
     def damping_ratio(self) -> float:
         """Fraction of critical damping: that of `restitution` if given, else `damping`."""
@@ -212,6 +223,10 @@ class Bonded(Joint):
     def properties(self, kn: float, ks: float) -> tuple[float, ...]:
         """Row of the table of the "bonded" sweep (kernels/joints.py)."""
         return kn, ks, _tan(self.friction), float(self.shear), float(self.tension)
+
+    def hard(self) -> tuple[float, float, float, float]:
+        """Friction, cohesion, tension and restitution of hard contact."""
+        return _tan(self.friction), float(self.shear), float(self.tension), 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
