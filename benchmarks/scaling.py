@@ -229,7 +229,9 @@ def main() -> None:
     """Measure, fit, draw, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--full", action="store_true", help="up to a million zones and contacts, 100k spheres")
-    parser.add_argument("--only", nargs="*", choices=[*KINDS, "jointed", "start"], help="these alone, nothing is written")
+    parser.add_argument(
+        "--only", nargs="*", choices=[*KINDS, "jointed", "start"], help="these alone, nothing is written"
+    )
     parser.add_argument("--child", nargs=3, metavar=("KIND", "SIZE", "THREADS"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.child:

@@ -71,8 +71,11 @@ def draw(data: dict[str, Any], path: Path) -> None:
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.4))
-    panels = {"step [CPU s]": lambda r: r["step"], "set-up [CPU s]": lambda r: r["scene"] + r["compile"] + r["detection"],
-              "memory [MB]": lambda r: r["memory"] / 1e6}  # fmt: skip
+    panels = {
+        "step [CPU s]": lambda r: r["step"],
+        "set-up [CPU s]": lambda r: r["scene"] + r["compile"] + r["detection"],
+        "memory [MB]": lambda r: r["memory"] / 1e6,
+    }
     for place, (label, value) in zip(axes, panels.items(), strict=True):
         ends = []
         for (kind, unit), mark in zip(UNITS.items(), "osD^", strict=True):
@@ -90,7 +93,9 @@ def draw(data: dict[str, Any], path: Path) -> None:
         place.grid(alpha=0.3)
     axes[0].legend(fontsize=8)
     facts = data["machine"]
-    figure.suptitle(f"Cost against size: {facts['cpu']}, one thread, commit {facts['commit']}, {facts['date']}", fontsize=9)
+    figure.suptitle(
+        f"Cost against size: {facts['cpu']}, one thread, commit {facts['commit']}, {facts['date']}", fontsize=9
+    )
     figure.tight_layout()
     figure.savefig(path, dpi=100)
     plt.close(figure)

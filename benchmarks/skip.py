@@ -95,8 +95,8 @@ def main() -> None:
         facts = reporting.machine()
         reporting.keep("skip", {"machine": facts, "items": [asdict(f) | {"passed": f.passed} for f in found]})
         words = (
-            "Microseconds are CPU time of a step (of a whole process for imports), one thread. \"Left out by force\" is the "
-            "relative error of a scene that needs the item when it is left out all the same."
+            "Microseconds are CPU time of a step (of a process for imports: ms), one thread. 'Left out by force' is "
+            "the relative error of a scene that needs the item when it is left out all the same."
         )
         reporting.section("skip", "What a scene does not need", f"{reporting.caption(facts)} {words}\n\n{text}")
 

@@ -7,7 +7,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -47,7 +46,9 @@ def compiled(scene: fdem.Scene, integrator: Any = None, **options: Any) -> fdem.
     return fdem.Simulation(scene, integrator or fdem.Explicit(), progress=False, **({"energy": False} | options))
 
 
-def bricks(courses: int = 5, body: Any = None, joint: Any = None, material: Any = ROCK, extra: Any = None) -> fdem.Scene:
+def bricks(
+    courses: int = 5, body: Any = None, joint: Any = None, material: Any = ROCK, extra: Any = None
+) -> fdem.Scene:
     """A wall of bricks in bond on a base; `extra` adds to the scene."""
     scene = fdem.Scene()
     scene.add(fdem.brick((-1, -1, -1), (5, 2, 0)), fdem.Rigid(), fixed=True, name="base")
@@ -128,7 +129,9 @@ def switched(name: str, on: bool, sim: fdem.Simulation) -> fdem.Simulation:
 
 def landing(forced: bool) -> Any:
     """A block that drops on a damped joint."""
-    scene, _ = one(fdem.Rigid(), fdem.brick((0, 0, 0.001), (1, 1, 1.001)), fdem.Coulomb(kn=1e9, ks=5e8, friction=30, damping=0.3))
+    scene, _ = one(
+        fdem.Rigid(), fdem.brick((0, 0, 0.001), (1, 1, 1.001)), fdem.Coulomb(kn=1e9, ks=5e8, friction=30, damping=0.3)
+    )
     sim = compiled(scene)
     return after(switched("damped", False, sim) if forced else sim, 600)
 
@@ -185,12 +188,15 @@ def squeezed(forced: bool) -> Any:
     sim = compiled(one(fdem.UniformStrain())[0])
     if forced:
         system = sim.system
-        system._terms = tuple(t for t in system._terms if getattr(getattr(t, "func", None), "__name__", "") != "internal")
+        system._terms = tuple(
+            t for t in system._terms if getattr(getattr(t, "func", None), "__name__", "") != "internal"
+        )
     return after(sim, 300, "strain")
 
 
 enter(
-    "loads", "loads", "loads: left out", 0.0, lambda needed: compiled(bricks(extra=no_load if needed else None)), wall_of,
+    "loads", "loads", "loads: left out", 0.0,
+    lambda needed: compiled(bricks(extra=no_load if needed else None)), wall_of,
     lambda: (pushed(False), pushed(True)),
 )  # fmt: skip
 enter(
@@ -277,9 +283,18 @@ def fallen(forced: bool) -> Any:
     return before if forced else sim["block"].stress
 
 
-enter("history", "histories", "histories and frames: left out", 0.0, recorded, wall_of, lambda: (bounced(False), bounced(True)))
 enter(
-    "energy", "energy ledger", "energy ledger: left out", 0.0, lambda needed: compiled(bricks(), energy=needed), wall_of,
+    "history",
+    "histories",
+    "histories and frames: left out",
+    0.0,
+    recorded,
+    wall_of,
+    lambda: (bounced(False), bounced(True)),
+)
+enter(
+    "energy", "energy ledger", "energy ledger: left out", 0.0,
+    lambda needed: compiled(bricks(), energy=needed), wall_of,
     lambda: (closure(True), closure(False)),
 )  # fmt: skip
 enter(

@@ -16,7 +16,11 @@ from stress import penetration, rest, solids, steps  # noqa: F401  (they fill th
 from stress.base import SCENARIOS, run
 
 # scenario and row of what does not pass, and why
-REASONS: dict[str, str] = {}
+REASONS: dict[str, str] = {
+    "S17": "Patches are kept until blocks have moved by 1e-3 of their size: that is what the force may be off by while "
+    "the box passes the seam, kick and speed are within their limits. With patches cut in every step (60 x the cost) "
+    "the force is within 1e-6 too.",
+}
 
 
 def measure(numbers: list[str], full: bool) -> list[dict[str, Any]]:
@@ -51,11 +55,15 @@ def report(found: list[dict[str, Any]]) -> str:
         ])  # fmt: skip
     head = ["", "scenario", "number nearest to its criterion", "value", "criterion", "", "checks passed", "CPU s"]
     text = reporting.table(head, lines)
-    failures = [
-        f"- {each['number']}, {row['what']}: {row['value'] if isinstance(row['value'], str) else format(row['value'], '.3g')}"
-        f" against {row['criterion']}. {REASONS.get(each['number'], '')}".rstrip()
-        for each in found for row in each["rows"] if not row["passed"]
-    ]  # fmt: skip
+    failures = []
+    for each in found:
+        for row in each["rows"]:
+            if not row["passed"]:
+                value = row["value"] if isinstance(row["value"], str) else f"{row['value']:.3g}"
+                why = REASONS.get(each["number"], "")
+                failures.append(
+                    f"- {each['number']}, {row['what']}: {value} against {row['criterion']}. {why}".rstrip()
+                )
     return text + ("\n\nWhat does not pass:\n\n" + "\n".join(failures) if failures else "\n\nAll pass.")
 
 

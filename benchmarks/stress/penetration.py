@@ -12,7 +12,7 @@ import numpy as np
 import fdem
 from fdem.contact.broad import REACH, candidate_pairs
 
-from .base import G, Row, at_most, between, holds, scenario, settled, simulation
+from .base import G, Row, at_most, holds, scenario, settled, simulation
 
 STONE = fdem.Elastic(density=2000.0, young=1e10, poisson=0.2)
 
@@ -224,6 +224,3 @@ def s36(full: bool) -> Iterator[Row]:
     spent, peak = time.process_time() - begin, tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     yield at_most(f"memory per body [B] (in {1e3 * spent:.0f} ms)", peak / n, 2048)
-
-
-__all__ = ["between", "crossing", "overlapping", "shot"]

@@ -9,7 +9,7 @@ import numpy as np
 
 import fdem
 
-from .base import G, Row, at_most, between, holds, scenario, settled, simulation
+from .base import G, Row, at_most, holds, scenario, settled, simulation
 
 STONE = fdem.Elastic(density=2000.0)
 UTM = (500_000.0, 4_600_000.0, 300.0)
@@ -42,7 +42,7 @@ def errors_of_million(sim: fdem.Simulation) -> tuple[float, float, float]:
 def s01(full: bool) -> Iterator[Row]:
     """Relaxed, then ten seconds (quick: 0.05 s) of explicit steps from there."""
     start = settled(million_on_one(), 1e-9)
-    force, closure, speed = errors_of_million(start)
+    force, closure, _ = errors_of_million(start)
     yield at_most("relaxation: error of the forces", force, 1e-8)
     yield at_most("relaxation: closure / elastic", closure, 1.05)
     sim = simulation(million_on_one(), fdem.Explicit(), start=start, energy=False)
@@ -259,6 +259,3 @@ def s22(full: bool) -> Iterator[Row]:
     angles, touching = zip(*(wedge_angle(origin) for origin in ((0, 0, 0), UTM)), strict=True)
     yield at_most("wedge: change of the critical angle [degrees]", abs(angles[1] - angles[0]), 0.05)
     yield holds("wedge: same contacts", touching[0] == touching[1], "the same", len(touching[0]))
-
-
-__all__ = ["between", "million_on_one", "on_facets", "wall"]

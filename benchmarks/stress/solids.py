@@ -101,7 +101,7 @@ def turn_of(matrix: np.ndarray) -> float:
 
 @scenario("S24", "rigid top in free spin, 1000 periods")
 def s24(full: bool) -> Iterator[Row]:
-    """dt = T / 500 (quick: 100 periods); the attitude against the closed form, held to what fourth order must reach."""
+    """Dt = T / 500 (quick: 100 periods); the attitude against the closed form, held to what fourth order must reach."""
     spin, periods, looks = (0.6, 0.1, 1.0), 1000 if full else 100, 20
     scene = fdem.Scene(gravity=(0, 0, 0))
     shape = fdem.brick((-1.5, -1, -0.5), (1.5, 1, 0.5))

@@ -24,15 +24,19 @@ class Units:
         self.origin = np.array(origin)
 
     def place(self, x):
+        """Place in these units."""
         return self.length * np.asarray(x, float) + self.origin
 
     def brick(self, lower, upper):
+        """Brick given in SI."""
         return fdem.brick(self.place(lower), self.place(upper))
 
     def elastic(self, density=2500.0, young=1e9, poisson=0.2):
+        """Material given in SI."""
         return fdem.Elastic(density * self.density, young * self.stress, poisson)
 
     def coulomb(self, kn=5e8, ks=3e8, friction=20.0, cohesion=1e3, **given):
+        """Joint given in SI."""
         return fdem.Coulomb(
             kn=kn * self.stiffness, ks=ks * self.stiffness, friction=friction, cohesion=cohesion * self.stress, **given
         )

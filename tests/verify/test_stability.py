@@ -5,12 +5,7 @@ A criterion stands beside its number in benchmarks/stress; a failed row is shown
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import skip
 from stress import base, penetration, rest, solids, steps  # noqa: F401  (they fill the list)
 
