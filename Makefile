@@ -35,6 +35,7 @@ bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python benchmarks/bodies.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/jointed.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/spheres.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/wall.py
 
 docs: $(STAMP)
 	$(BIN)/python tools/api_table.py docs/api.md

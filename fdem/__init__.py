@@ -65,6 +65,7 @@ _HOME = {
     "fdem.integrate.sleep": ("Sleep",),
     "fdem.integrate.static": ("Static",),
     "fdem.simulation": ("Report", "Simulation", "load"),
+    "fdem.strength": ("StrengthReduction", "strength_reduction"),
     "fdem.results.history": ("Every", "History"),
     "fdem.results.output": ("Checkpoint", "Frames"),
 }
@@ -112,6 +113,7 @@ __all__ = [
     "Sleep",
     "SolveError",
     "Static",
+    "StrengthReduction",
     "Stress",
     "Support",
     "Traction",
@@ -134,6 +136,7 @@ __all__ = [
     "read",
     "show_log",
     "sphere",
+    "strength_reduction",
     "surface",
     "tet_mesh",
     "voronoi",

@@ -153,6 +153,8 @@ def save(sim: Simulation, path: str | Path) -> None:
         arrays |= {f"contacts_{key}": value for key, value in system.contacts.state_arrays().items()}
     if system.particles is not None:
         arrays |= {f"spheres_{key}": value for key, value in sphere_readout.state_arrays(system.particles).items()}
+    if hasattr(sim.integrator, "kept"):
+        arrays |= {f"integrator_{key}": value for key, value in sim.integrator.kept().items()}
     for i, (gp, forces, _, _) in enumerate(sim._releases):
         arrays |= {f"release_gp_{i}": gp, f"release_f_{i}": forces}
     if sim._before is not None:
@@ -280,6 +282,8 @@ def restore(saved: dict[str, Any], sim: Simulation) -> None:
     if system.particles is not None:
         own = {k[len("spheres_") :]: v for k, v in saved.items() if k.startswith("spheres_")}
         sphere_readout.restore(system.particles, own, state.x)
+    if hasattr(sim.integrator, "kept"):
+        sim.integrator.restore({k[len("integrator_") :]: v for k, v in saved.items() if k.startswith("integrator_")})
     for name in SCALARS:
         setattr(system, name, float.fromhex(head["scalars"][name]))
     state.t, state.step = float.fromhex(head["t"]), int(head["step"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 __all__ = [
     "CheckpointError",
     "ConvergenceError",
@@ -46,7 +48,17 @@ class UnstableError(SolveError):
 
 
 class ConvergenceError(SolveError):
-    """An iteration did not converge; carries the residual history."""
+    """An iteration did not converge; carries the residual history.
+
+    Attributes
+    ----------
+    residuals : tuple of float
+        Of the last attempt, as the message's words count them; empty where there is no such history.
+    """
+
+    def __init__(self, message: str, residuals: Iterable[float] = ()) -> None:
+        super().__init__(message)
+        self.residuals = tuple(residuals)
 
 
 class OverlapError(SolveError):

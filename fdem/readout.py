@@ -170,9 +170,12 @@ class Readout:
         table |= {name: np.zeros(0) for name in ("gap", "area", "slip")}
         table |= {name: np.zeros((0, 3)) for name in ("normal", "traction", "force", "position")}
         table["frame"] = np.zeros((0, 3, 3))
-        if contacts is not None:
-            table = dict(self.system.contact_table())
-        if particles is not None:
+        hard = self.system.hard_table
+        if hard is not None:
+            table = hard()
+        elif contacts is not None:
+            table = dict(contacts.table(self.state.x))
+        if particles is not None and hard is None:
             own = sphere_table(particles)
             n = len(own["joint"])
             # what only laws of faces remember

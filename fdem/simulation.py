@@ -86,7 +86,7 @@ class Simulation(Readout):
         if source is not None:
             self._removed = source._removed
             # loads applied on the way go along within a scene; those of another scene know other blocks
-            known = source._applied if source.scene is scene else self._applied
+            known = source._applied if source.scene.loads is scene.loads else self._applied
             self._applied |= {key: replace(value) for key, value in source._applied.items() if key in known}
         self._before = None if source is None else Kept.of(source.compiled.layout)
         self._compile()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -63,6 +64,9 @@ class Watch:
         What is solved.
     target : float
         Solve ratio to reach.
+    at_rest : callable, optional
+        ``at_rest(ratio)``: whether an integrator that needs no settling sees everything at rest; then it is looked at
+        after every cycle.
 
     Notes
     -----
@@ -80,8 +84,9 @@ class Watch:
     windows = 6
     first_window = 400
 
-    def __init__(self, system: Any, target: float) -> None:
-        self.system, self.target = system, float(target)
+    def __init__(self, system: Any, target: float, at_rest: Callable[[float], bool] | None = None) -> None:
+        self.system, self.target, self._at_rest = system, float(target), at_rest
+        self.every = self.every if at_rest is None else 1
         self.ratio = self.start_ratio = float("nan")
         self.kinetic_ratio, self.remaining = 0.0, 0.0
         self._kinetic_peak = 0.0
@@ -110,7 +115,8 @@ class Watch:
         self._moved = [*self._moved[-7:], moved]
         self.remaining = self._estimate(total)
         ahead = system.constraints.ahead(system.state.q, system.q0, system.state.t)
-        if max(self.ratio, ahead) <= self.target and self.remaining <= min(0.05, 1e3 * self.target):
+        near = self.remaining <= min(0.05, 1e3 * self.target) if self._at_rest is None else self._at_rest(self.target)
+        if max(self.ratio, ahead) <= self.target and near:
             return "equilibrium"
         return "collapse" if self._collapsing(x) else None
 
@@ -162,7 +168,7 @@ def _cycles(sim: Any, ratio: float, max_cycles: int) -> dict[str, Any]:
     # while tractions of removed blocks are still being released, what looks like equilibrium is none
     released = max((at + over - first for _, _, at, over in sim._releases), default=0)
     sim._steps(min(max(released, 0), max_cycles))
-    watch = Watch(sim.system, ratio)
+    watch = Watch(sim.system, ratio, getattr(sim.integrator, "at_rest", None))
     reason = watch.look()
     while reason is None and sim.state.step - first < max_cycles:
         sim._steps(min(watch.every, max_cycles - (sim.state.step - first)))
@@ -174,6 +180,7 @@ def _cycles(sim: Any, ratio: float, max_cycles: int) -> dict[str, Any]:
         "start_ratio": watch.start_ratio,
         "kinetic_ratio": watch.kinetic_ratio,
         "remaining": watch.remaining,
+        "notes": "; ".join(getattr(sim.integrator, "notes", [])),
     }
 
 

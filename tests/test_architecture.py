@@ -49,6 +49,7 @@ ARROWS = {
     "description": BASE | {"model", "state", "contact"},
     "views": BASE | {"model", "state", "results"},
     "checkpoint": BASE | {"model", "state", "contact", "scene"},
+    "strength": BASE | {"scene", "integrate", "simulation"},
     "simulation": BASE | NUMERIC | {"scene", "compile", "integrate", "results"} | FRONT,
 }
 # third-party packages a part may import inside functions; numpy may be imported at the top anywhere
@@ -57,13 +58,13 @@ LAZY = {
     "scene": {"scipy", "gmsh", "meshio", "skfem", "pyvista", "vtkmodules", "manifold3d"},
     "blocks": {"scipy", "skfem"},
     "contact": {"scipy"},
-    "integrate": {"scipy", "pyamg"},
+    "integrate": {"scipy", "pyamg", "sksparse", "pypardiso"},
     "results": {"scipy", "pyvista", "vtkmodules", "h5py", "matplotlib"},
     "compile": {"scipy"},
     "simulation": {"scipy", "pyvista", "numpy"},
 }
 FORBIDDEN = ("print", "exit", "quit", "sys.exit", "os._exit", "np.random.seed", "breakpoint")
-SYSTEM = {"system", "pace", "trial", "impulses", "matrices"}
+SYSTEM = {"system", "pace", "trial", "impulses", "matrices", "mobility"}
 HEAVY = ("numba", "scipy", "skfem", "gmsh", "meshio", "pyvista", "vtkmodules", "matplotlib", "h5py", "pyamg")
 
 

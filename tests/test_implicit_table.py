@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 from contracts import LAWS, example_law
@@ -159,3 +161,30 @@ def test_describe_tells_the_linear_solver():
     # the same motion whatever solves the systems
     sim.cycle(1)
     assert asked["top"].position == pytest.approx(sim["top"].position, abs=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["cg", "amg", "cholmod", "pardiso"])
+def test_solvers_agree(solver):
+    """The same state at rest and the same motion, to the tolerance of Newton's method, whatever solves the systems."""
+    package = {"cholmod": "sksparse", "pardiso": "pypardiso"}.get(solver)
+    if package is not None and find_spec(package) is None:
+        with pytest.raises(fdem.SceneError, match=rf"solver = '{solver}' needs the package"):
+            fdem.Newmark(dt=1e-3, solver=solver)
+        return
+    scene = pushed(fdem.Zoned(size=0.4), LAWS["coulomb"], fdem.Static()).scene
+    ends = []
+    for method in ("direct", solver):
+        sim = fdem.Simulation(scene, fdem.Static(solver=method, tolerance=1e-9))
+        assert sim.solve(ratio=1e-9).converged
+        moving = fdem.Simulation(scene, fdem.Newmark(dt=1e-4, solver=method, tolerance=1e-9))
+        moving.cycle(5)
+        ends.append((sim["top"].displacement, moving["top"].displacement))
+    for first, second in zip(*ends, strict=True):
+        assert second == pytest.approx(first, rel=1e-6, abs=1e-6 * np.abs(first).max())
+
+
+def test_a_kept_factor_is_refined():
+    """A second step of nearly the same matrix needs no new factor."""
+    sim = pushed(fdem.Zoned(size=0.4), fdem.Coulomb(kn=1e10, ks=5e9, friction=60), fdem.Newmark(dt=1e-4))
+    sim.cycle(6)
+    assert "kept factor refined" in sim.describe()

@@ -111,9 +111,9 @@ class JointTables:
         return result
 
     def _hard(self, law: int) -> np.ndarray | None:
-        """Friction coefficient, cohesion, tension and restitution (n, 4) of a law's rows; None if it has none."""
+        """Rows (n, 6) of the hard counterpart of a law (`Joint.hard`); None if it has none."""
         rows = [rule.law.hard() for rule, (k, _) in zip(self.rules, self.location, strict=True) if k == law]
-        return None if any(row is None for row in rows) else np.array(rows, dtype=float).reshape(-1, 4)
+        return None if any(row is None for row in rows) else np.array(rows, dtype=float).reshape(-1, 6)
 
     def _side(self, target: Any, faces: bool) -> _Side:
         """What a selector means: blocks, and tags of faces; a cutting shape's name means faces only if `faces`."""

@@ -84,17 +84,19 @@ def _law(law: Any, kn: float, ks: float) -> Any:
     """
     from fdem.contact.particles import SphereLaw
 
-    name = type(law).__name__
+    name, bounce = type(law).__name__, float(getattr(law, "restitution", None) or 0.0)
     if isinstance(law, Hertz):
         given = None if law.young is None or law.poisson is None else _of_constants(law.young, law.poisson)
-        return SphereLaw(True, 0.0, 0.0, _tan(law.friction), law.damping_ratio, given, law.rolling, law.twisting, name)
+        return SphereLaw(
+            True, 0.0, 0.0, _tan(law.friction), law.damping_ratio, given, law.rolling, law.twisting, name, bounce
+        )
     if not isinstance(law, Coulomb):
         raise UnsupportedError(f"joint {name}: contacts of spheres know Coulomb and Hertz")
     for field in ("cohesion", "tension", "dilation", "residual_cohesion"):
         if getattr(law, field) > 0.0:
             raise UnsupportedError(f"joint {name}: {field} = {getattr(law, field)!r}: contacts of spheres have none")
     friction = law.friction if law.residual_friction is None else law.residual_friction
-    return SphereLaw(False, kn, ks, _tan(friction), law.damping_ratio, None, law.rolling, law.twisting, name)
+    return SphereLaw(False, kn, ks, _tan(friction), law.damping_ratio, None, law.rolling, law.twisting, name, bounce)
 
 
 def _tan(degrees: float) -> float:

@@ -87,8 +87,9 @@ class LawTable:
         Least area of a contact [m2] (kernels/corners.py); 0: none.
     smooth : bool
         Whether differences of the law are a tangent: for implicit methods.
-    hard : (n_props, 4) array, optional
-        Friction coefficient, cohesion [Pa], tension [Pa] and restitution of the hard counterpart; None: none.
+    hard : (n_props, 6) array, optional
+        Friction coefficient, cohesion [Pa], tension [Pa] and restitution of the hard counterpart, friction coefficient
+        and cohesion after its strength was exceeded; None: none.
 
     Attributes
     ----------

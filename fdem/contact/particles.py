@@ -64,6 +64,8 @@ class SphereLaw:
         Lengths [m] that times the normal force limit the couples.
     name : str
         For messages.
+    restitution : float
+        Of hard contact.
     """
 
     hertz: bool
@@ -75,6 +77,7 @@ class SphereLaw:
     rolling: float
     twisting: float
     name: str
+    restitution: float = 0.0
 
 
 class SphereTable:

@@ -137,7 +137,8 @@ class _Implicit:
             if self._h < dt * 0.5**HALVINGS:
                 raise ConvergenceError(
                     f"step {system.state.step}, t = {system.state.t:.6g} s: no convergence in {self.max_iterations} "
-                    f"iterations even with dt = {h:.3g} s; residuals {told(self.history)}; {self._culprit}"
+                    f"iterations even with dt = {h:.3g} s; residuals {told(self.history)}; {self._culprit}",
+                    self.history,
                 )
         system.state.step += 1
 
@@ -257,7 +258,7 @@ class Newmark(_Implicit):
     max_iterations : int, optional
         Newton iterations before the step is halved.
     solver : str, optional
-        "auto", "direct", "cg" or "amg".
+        "auto", "direct", "cg", "amg", "cholmod" or "pardiso"; `describe` tells what was chosen and used.
 
     Raises
     ------

@@ -7,6 +7,7 @@ the rigid motions for large static problems, sparse LU for small or unsymmetric 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,10 @@ __all__ = ["METHODS", "LinearSolver"]
 
 Array = Any
 
-METHODS = ("auto", "direct", "cg", "amg")
+METHODS = ("auto", "direct", "cg", "amg", "cholmod", "pardiso")
+NAMES = dict.fromkeys(METHODS, "sparse LU") | {"cholmod": "CHOLMOD", "pardiso": "PARDISO"}
+PACKAGES = {"cholmod": "sksparse.cholmod", "pardiso": "pypardiso"}
+KEEP = 300  # unknowns from which a kept factor saves time
 SPARE, FINEST, COARSEST = 0.1, 1e-12, 1e-3  # relative residual of iterative methods: as Newton's method needs it
 PLANAR = 60_000  # the same for rigid blocks on joints, whose graphs fill in little
 
@@ -31,17 +35,22 @@ class LinearSolver:
     Parameters
     ----------
     method : str
-        "auto", "direct", "cg" (block Jacobi) or "amg" (smoothed aggregation, for zones).
+        "auto", "direct" (sparse LU), "cg" (block Jacobi), "amg" (smoothed aggregation, for zones), or "cholmod" or
+        "pardiso", if the package is installed.
     """
 
     method: str = "auto"
     tolerance: float = field(default=1e-10, init=False)  # relative residual of iterative methods
     used: str = field(default="none yet", init=False)
     iterations: int = field(default=0, init=False)
+    _kept: Any = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise SceneError(f"solver = {self.method!r}, allowed are {', '.join(map(repr, METHODS))}")
+        package = PACKAGES.get(self.method)
+        if package is not None and _missing(package):
+            raise SceneError(f"solver = {self.method!r} needs the package {package}, which is not installed")
 
     def solve(self, A: Any, b: Array, assembler: Any, gain: float, static: bool = False) -> Array:
         """Solution of ``A x = b``.
@@ -66,8 +75,8 @@ class LinearSolver:
         if not b.any():
             return np.zeros(n)
         method = self.chosen(n, assembler, static)
-        if method == "direct":
-            return self._direct(A, b)
+        if method in FACTORS:
+            return self._direct(A, b, FACTORS[method])
         if not assembler.symmetric:
             return self._unsymmetric(A, b, groups)
         if method == "cg" and len(groups) == 1 and groups[0].shape[1] == 3:
@@ -87,17 +96,37 @@ class LinearSolver:
             return "direct"
         return "amg" if static and assembler.modes() is not None else "cg"
 
-    def _direct(self, A: Any, b: Array) -> Array:
-        from scipy.sparse.linalg import splu
-
+    def _direct(self, A: Any, b: Array, factor: Any = None) -> Array:
+        """By a factor: that of an earlier matrix as long as refinement with it converges fast, else a new one."""
+        if self._kept is not None and self._kept[0] == A.shape and len(b) > KEEP:
+            x = self._refined(A, b)
+            if x is not None:
+                return x
         try:
-            x = splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(b)
+            solve = (factor or _lu)(A)
         except RuntimeError as error:
             raise ConvergenceError(
                 f"the stiffness is singular: something can move without resistance ({error})"
             ) from None
-        self.used, self.iterations = "sparse LU", 1
-        return x
+        self._kept = A.shape, solve
+        self.used, self.iterations = NAMES[self.method], 1
+        return np.asarray(solve(b))
+
+    def _refined(self, A: Any, b: Array) -> Array | None:
+        """Solution with the kept factor; None if the residual falls by less than ten a time."""
+        _, solve = self._kept
+        x, left, goal = np.zeros_like(b), b, self.tolerance * float(np.linalg.norm(b))
+        size = float(np.linalg.norm(b))
+        for count in range(1, 9):
+            x = x + solve(left)
+            left = b - A @ x
+            last, size = size, float(np.linalg.norm(left))
+            if size <= goal:
+                self.used, self.iterations = f"{NAMES[self.method]}, kept factor refined {count} times", count
+                return x
+            if not size < 0.1 * last:
+                break
+        return None
 
     def _unsymmetric(self, A: Any, b: Array, groups: list[Array]) -> Array:
         """BiCGStab with block Jacobi, sparse LU if that stalls."""
@@ -115,6 +144,37 @@ class LinearSolver:
         )
         self.used, self.iterations = f"BiCGStab, {count[0]} iterations", count[0]
         return x if info == 0 and np.isfinite(x).all() else self._direct(A, b)
+
+
+def _missing(package: str) -> bool:
+    try:
+        return find_spec(package) is None
+    except ModuleNotFoundError:
+        return True
+
+
+def _lu(A: Any) -> Any:
+    from scipy.sparse.linalg import splu
+
+    return splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve
+
+
+def _cholmod(A: Any) -> Any:
+    """Cholesky factor of the symmetric part, which refinement makes up for."""
+    from sksparse.cholmod import cholesky
+
+    return cholesky((0.5 * (A + A.T)).tocsc())
+
+
+def _pardiso(A: Any) -> Any:
+    from pypardiso import PyPardisoSolver
+
+    A, solver = A.tocsr(), PyPardisoSolver()
+    solver.factorize(A)
+    return lambda b: solver.solve(A, b)
+
+
+FACTORS = {"direct": _lu, "cholmod": _cholmod, "pardiso": _pardiso}
 
 
 def _by_block_rows(A: Any, b: Array, tolerance: float, most: int = 3000) -> tuple[Array, int, bool]:

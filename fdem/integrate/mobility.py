@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from fdem.contact.proximal import Rows
 from fdem.integrate.matrices import projector
 
 __all__ = ["Mobility"]
@@ -26,93 +27,102 @@ class Mobility:
         K (n, n) of zones and other bodies that deform; None where nothing does.
     h : float
         Share of the step that K acts over [s].
+
+    Attributes
+    ----------
+    matrix : scipy CSC matrix
+        A, with a diagonal in the place of what is constrained.
+    mass : (n,) array
+        Diagonal of M.
     """
 
     def __init__(self, assembler: Any, mass: Any, stiffness: Any, h: float) -> None:
         self.n, self._stiffness = mass.shape[0], stiffness
+        self.mass = mass.diagonal()
+        constraints = assembler.system.constraints
+        self._free = projector(constraints, self.n) if constraints.any else None
         A = mass if stiffness is None else mass + h * h * stiffness
-        self._free = projector(assembler.system.constraints, self.n)
-        A = assembler.constrained(A.tocsr())
+        self.matrix = assembler.constrained(A.tocsr()).tocsc()
+        self.matrix.sort_indices()
+        self._blocks: list[tuple[Array, Array]] = []
         if stiffness is None:
-            self._inverse = _block_inverse(A, assembler.groups)
-            self._factor = None
+            self._blocks = _block_inverses(self.matrix, assembler.groups)
         else:
             from scipy.sparse.linalg import splu
 
-            self._factor = splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+            self._factor = splu(self.matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
     def solve(self, f: Array) -> Array:
         """``A^-1 f`` (n,), zero where constrained."""
-        f = self._free.T @ f
-        return self._free @ (self._inverse @ f if self._factor is None else self._factor.solve(f))
+        if self._free is not None:
+            f = self._free.T @ f
+        if self._stiffness is not None:
+            z = self._factor.solve(f)
+        else:
+            z = np.zeros(self.n)
+            for group, inverse in self._blocks:
+                z[group] = np.einsum("nij,nj->ni", inverse, f[group])
+        return z if self._free is None else self._free @ z
 
     def stiffness_times(self, v: Array) -> Array:
         """``K v`` (n,)."""
         return np.zeros(self.n) if self._stiffness is None else self._stiffness @ v
 
-    def rows(self, J: Any, count: int) -> tuple[Any, Any, Any]:
-        """Rows of `count` points for the solver.
+    def free_rows(self, rows: Rows) -> Rows:
+        """Rows over the motions that constraints leave free."""
+        return rows if self._free is None else _by_point(self._wide(rows) @ self._free)
 
-        Parameters
-        ----------
-        J : (3 count, n) scipy CSR
-            Relative velocities of the points.
-
-        Returns
-        -------
-        J, B : tuple of arrays
-            ``start``, ``dof``, values (entries, 3), of J and of ``B = A^-1 J^T`` as far as J reaches.
-        full : (n, 3 count) matrix
-            ``A^-1 J^T``.
-        """
-        transposed = (self._free.T @ J.T).tocsr()
-        if self._factor is None:
-            full = self._free @ (self._inverse @ transposed)
-            return _by_point(J, count), _by_point(full.T.tocsr(), count), full
-        dense = self._free @ self._factor.solve(transposed.toarray())
-        touched = np.unique(J.indices)
+    def answers(self, rows: Rows) -> Rows:
+        """``A^-1 J^T`` of rows over free motions, as rows again."""
         from scipy.sparse import csr_matrix
 
+        wide = self._wide(rows)
+        if self._stiffness is None:
+            return _by_point(wide @ _joined(self._blocks, self.n))
+        dense = self._factor.solve(wide.T.toarray()).T
         reach = np.zeros_like(dense)
-        reach[touched] = dense[touched]
-        reach[np.abs(reach) < 1e-14 * np.abs(reach).max()] = 0.0
-        return _by_point(J, count), _by_point(csr_matrix(reach.T), count), dense
+        touched = np.unique(rows.dof)  # velocities elsewhere are found at the end
+        reach[:, touched] = dense[:, touched]
+        return _by_point(csr_matrix(reach))
 
-    @staticmethod
-    def delassus(J: Any, B: Any, count: int) -> Array:
-        """``J_i B_i`` of every point (count, 3, 3) [1/kg]."""
-        from scipy.sparse import csr_matrix
+    def _wide(self, rows: Rows) -> Any:
+        """Rows as a matrix (3 n_points, n), scipy CSR."""
+        from scipy.sparse import coo_matrix
 
-        n = 1 + max(int(J[1].max(initial=0)), int(B[1].max(initial=0)))
-        W = np.zeros((count, 3, 3))
-        rows = [csr_matrix((J[2][:, k], J[1], J[0]), shape=(count, n)) for k in range(3)]
-        columns = [csr_matrix((B[2][:, k], B[1], B[0]), shape=(count, n)) for k in range(3)]
-        for a in range(3):
-            for b in range(3):
-                W[:, a, b] = np.asarray(rows[a].multiply(columns[b]).sum(axis=1)).ravel()
-        return W
+        start, dof, J = rows
+        count = len(start) - 1
+        at = 3 * np.repeat(np.arange(count), np.diff(start))[:, None] + np.arange(3)
+        columns = np.broadcast_to(dof[:, None], J.shape)
+        return coo_matrix((J.ravel(), (at.ravel(), columns.ravel())), shape=(3 * count, self.n)).tocsr()
 
 
-def _block_inverse(A: Any, groups: list[Array]) -> Any:
-    """Inverse of a block-diagonal matrix, scipy CSR."""
+def _block_inverses(A: Any, groups: list[Array]) -> list[tuple[Array, Array]]:
+    """Inverses of the diagonal blocks (m, k, k) of each of the `groups` (m, k) of unknowns."""
+    rows, cols, found = A.indices, np.repeat(np.arange(A.shape[0]), np.diff(A.indptr)), []
+    for group in groups:
+        m, k = group.shape
+        place = np.full(A.shape[0], -1)
+        place[group] = np.arange(m * k).reshape(m, k)
+        mine = (place[rows] >= 0) & (place[cols] >= 0)
+        r, c = place[rows[mine]], place[cols[mine]]
+        blocks = np.zeros((m, k, k))
+        blocks[r // k, r % k, c % k] = A.data[mine]
+        found.append((group, np.linalg.inv(blocks)))
+    return found
+
+
+def _joined(blocks: list[tuple[Array, Array]], n: int) -> Any:
+    """Block-diagonal matrix (n, n), scipy CSR."""
     from scipy.sparse import coo_matrix
 
-    rows, cols, values = [], [], []
-    for group in groups:
-        k = group.shape[1]
-        blocks = np.empty((len(group), k, k))
-        for i in range(k):
-            for j in range(k):
-                blocks[:, i, j] = np.asarray(A[group[:, i], group[:, j]]).ravel()
-        rows.append(np.repeat(group, k, axis=1).ravel())
-        cols.append(np.tile(group, (1, k)).ravel())
-        values.append(np.linalg.inv(blocks).ravel())
-    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))
-    return coo_matrix(entries, shape=A.shape).tocsr()
+    rows = np.concatenate([np.repeat(group, group.shape[1], axis=1).ravel() for group, _ in blocks])
+    cols = np.concatenate([np.tile(group, (1, group.shape[1])).ravel() for group, _ in blocks])
+    values = np.concatenate([inverse.ravel() for _, inverse in blocks])
+    return coo_matrix((values, (rows, cols)), shape=(n, n)).tocsr()
 
 
-def _by_point(J: Any, count: int) -> tuple[Array, Array, Array]:
-    """Rows 3 i .. 3 i + 2 of a CSR matrix on their common columns: start, columns, values (entries, 3)."""
+def _by_point(J: Any) -> Rows:
+    """Rows 3 i .. 3 i + 2 of a CSR matrix on their common columns."""
     rows = np.repeat(np.arange(J.shape[0]), np.diff(J.indptr))
     key = (rows // 3).astype(np.int64) * J.shape[1] + J.indices
     order = np.argsort(key, kind="stable")
@@ -121,5 +131,5 @@ def _by_point(J: Any, count: int) -> tuple[Array, Array, Array]:
     unique = key[order][fresh]
     values = np.zeros((len(unique), 3))
     values[place, rows[order] % 3] = J.data[order]
-    start = np.searchsorted(unique, np.arange(count + 1) * np.int64(J.shape[1]))
-    return start, (unique % J.shape[1]).astype(np.int64), values
+    start = np.searchsorted(unique, np.arange(J.shape[0] // 3 + 1) * np.int64(J.shape[1]))
+    return Rows(start, (unique % J.shape[1]).astype(np.int64), values)

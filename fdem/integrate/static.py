@@ -41,7 +41,7 @@ class Static:
     max_iterations : int, optional
         Iterations of a load step before it is halved.
     solver : str, optional
-        "auto", "direct", "cg" or "amg".
+        "auto", "direct", "cg", "amg", "cholmod" or "pardiso"; `describe` tells what was chosen and used.
 
     Raises
     ------
@@ -117,7 +117,8 @@ class Static:
             if part < 0.5**HALVINGS / self.steps:
                 raise ConvergenceError(
                     f"no equilibrium found: {1.0 - left:.0%} of the load step were in balance; the last residuals are "
-                    f"{told(self.history)} of the largest force, {self._culprit}"
+                    f"{told(self.history)} of the largest force, {self._culprit}",
+                    self.history,
                 )
         loose = self.trial.loose()
         self.notes = [f"nothing holds {', '.join(map(repr, loose))} in some direction"] if loose else []

@@ -57,7 +57,8 @@ class System(Pace):
         self.dt = 0.0  # the last step [s]
         self.fictitious = False  # masses are scaled: time and velocities have no meaning of their own
         self.mean_contact: np.ndarray | None = None  # forces of hard contact over the last step, in place of springs
-        self.hard_table: dict[str, Any] | None = None
+        self.mean_moment: np.ndarray | None = None  # and moments on spheres
+        self.hard_table: Callable[[], dict[str, Any]] | None = None
         self.a_old: np.ndarray | None = None  # acceleration that implicit steps go on from
         self.given: np.ndarray | None = None  # prescribed increments of the last implicit step
         self.work = 0.0
@@ -97,9 +98,10 @@ class System(Pace):
         terms: list[Callable[[], None]] = []
         if self.mean_contact is not None:
             terms.append(partial(np.add, state.f_gp, self.mean_contact, out=state.f_gp))
+            terms.append(partial(np.add, state.f, self.mean_moment, out=state.f))
         elif self.contacts is not None:
             terms.append(lambda: self.contacts.forces(state.x, state.x_old, self._real_dt, state.f_gp))
-        if self.particles is not None:
+        if self.particles is not None and self.mean_contact is None:
             terms.append(lambda: self.particles.forces(state.x, state.x_old, self._real_dt, state.f_gp, state.f))
         if terms:
             for batch in self.model.batches:
@@ -200,7 +202,7 @@ class System(Pace):
 
     def harden(self) -> None:
         """Leave the forces of penalty contacts out; mean forces over the last step take their place."""
-        self.mean_contact = np.zeros_like(self.state.f_gp)
+        self.mean_contact, self.mean_moment = np.zeros_like(self.state.f_gp), np.zeros_like(self.state.f)
         self._terms = self._choose_terms()
         self.current = False
 
@@ -210,11 +212,6 @@ class System(Pace):
         if self._load_old is not None:
             self._load_old[:] = self.f_load
         self.state.x_old[:] = self.state.x
-
-    def contact_table(self) -> dict[str, Any]:
-        """Contact points as a dict of arrays: of the last forces, or of the last impulses."""
-        table: dict[str, Any] = self.contacts.table(self.state.x) if self.hard_table is None else self.hard_table
-        return table
 
     def pending_work(self) -> float:
         """Work [J] of loads and prescribed motion over the last step, by the trapezoidal rule."""

@@ -179,31 +179,3 @@ def gauss_seidel(start, dof, J, bstart, bdof, B, W, bias, mu, tension, cohesion,
             relax = max(0.7 * relax, 0.05) if error > 0.9999 * before else min(1.2 * relax, 1.0)
             before = error
     return sweep, error
-
-
-@kernel
-def project(z, mu, tension, cohesion, r, slope):
-    """Impulses ``r`` (n, 3): the projection of ``z`` on what the law admits, and its derivative `slope` (n, 3, 3).
-
-    Normal: ``max(z_n, -T)``; tangential: onto the disc of radius ``mu r_n + C`` (Alart and Curnier, Comput. Methods
-    Appl. Mech. Engrg. 92 (1991) 353).
-    """
-    for i in range(len(z)):
-        for a in range(3):
-            for b in range(3):
-                slope[i, a, b] = 0.0
-        r[i, 0] = max(z[i, 0], -tension[i])
-        pressed = 1.0 if z[i, 0] > -tension[i] else 0.0
-        slope[i, 0, 0] = pressed
-        limit = max(mu[i] * r[i, 0] + cohesion[i], 0.0)
-        length = math.sqrt(z[i, 1] ** 2 + z[i, 2] ** 2)
-        if length <= limit:
-            r[i, 1], r[i, 2] = z[i, 1], z[i, 2]
-            slope[i, 1, 1], slope[i, 2, 2] = 1.0, 1.0
-            continue
-        t1, t2 = z[i, 1] / length, z[i, 2] / length
-        r[i, 1], r[i, 2] = limit * t1, limit * t2
-        share = limit / length
-        slope[i, 1, 0], slope[i, 2, 0] = pressed * mu[i] * t1, pressed * mu[i] * t2
-        slope[i, 1, 1], slope[i, 2, 2] = share * (1.0 - t1 * t1), share * (1.0 - t2 * t2)
-        slope[i, 1, 2] = slope[i, 2, 1] = -share * t1 * t2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -68,9 +68,27 @@ class Joint:
         """Row of the property table that the law's sweep reads; the first two are kn and ks [Pa/m]."""
         raise UnsupportedError(f"{type(self).__name__}: a law needs properties(kn, ks)")
 
-    def hard(self) -> tuple[float, float, float, float] | None:
-        """Friction coefficient, cohesion [Pa], tension [Pa], restitution for `ContactDynamics`; None: no such law."""
+    def hard(self) -> tuple[float, ...] | None:
+        """Friction coefficient, cohesion [Pa], tension [Pa], restitution for `ContactDynamics`; None: no such law.
+
+        Then friction coefficient and cohesion [Pa] after the cohesion or tension was exceeded.
+        """
         return None
+
+    def weakened(self, factor: float) -> Joint:
+        """The law with its strength over `factor`, for `strength_reduction`.
+
+        Parameters
+        ----------
+        factor : float
+            Divides cohesion, tension and tangents of friction.
+
+        Raises
+        ------
+        UnsupportedError
+            If strength is not a number in the law.
+        """
+        raise UnsupportedError(f"{type(self).__name__}: a law needs weakened(factor) for a strength reduction")
 
     @property
     def sweep(self) -> Any:
@@ -178,9 +196,19 @@ class Coulomb(Joint):
             *((float(self.rolling), float(self.twisting)) if self.sweep == "coulomb_moments" else ()),
         )
 
-    def hard(self) -> tuple[float, float, float, float]:
-        """Friction, cohesion, tension and restitution (0 if None) of hard contact."""
-        return _tan(self.friction), float(self.cohesion), float(self.tension), float(self.restitution or 0.0)
+    def hard(self) -> tuple[float, ...] | None:
+        """Friction, cohesion, tension, restitution (0 if None), what is left; no rolling, twisting, dilation."""
+        if self.rolling > 0.0 or self.twisting > 0.0 or self.dilation > 0.0:
+            return None
+        residual = self.friction if self.residual_friction is None else self.residual_friction
+        whole = _tan(self.friction), float(self.cohesion), float(self.tension), float(self.restitution or 0.0)
+        return *whole, _tan(residual), float(self.residual_cohesion)
+
+    def weakened(self, factor: float) -> Coulomb:
+        """Cohesion, tension and tangents of friction over `factor`, residual ones too."""
+        residual = None if self.residual_friction is None else _angle(_tan(self.residual_friction) / factor)
+        parts = {name: getattr(self, name) / factor for name in ("cohesion", "tension", "residual_cohesion")}
+        return replace(self, friction=_angle(_tan(self.friction) / factor), residual_friction=residual, **parts)
 
     @property
     def damping_ratio(self) -> float:
@@ -224,9 +252,14 @@ class Bonded(Joint):
         """Row of the table of the "bonded" sweep (kernels/joints.py)."""
         return kn, ks, _tan(self.friction), float(self.shear), float(self.tension)
 
-    def hard(self) -> tuple[float, float, float, float]:
-        """Friction, cohesion, tension and restitution of hard contact."""
-        return _tan(self.friction), float(self.shear), float(self.tension), 0.0
+    def hard(self) -> tuple[float, ...]:
+        """Friction, cohesion, tension and restitution of hard contact, and what is left of the first two."""
+        return _tan(self.friction), float(self.shear), float(self.tension), 0.0, _tan(self.friction), 0.0
+
+    def weakened(self, factor: float) -> Bonded:
+        """Strengths and tangent of friction over `factor`."""
+        friction = _angle(_tan(self.friction) / factor)
+        return replace(self, friction=friction, shear=self.shear / factor, tension=self.tension / factor)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -380,10 +413,18 @@ class Hertz(Joint):
             number("Hertz", "young", self.young, low=0.0, open_low=True)
             number("Hertz", "poisson", self.poisson, low=-1.0, high=0.5, open_low=True)
 
+    def weakened(self, factor: float) -> Hertz:
+        """Tangent of friction over `factor`."""
+        return replace(self, friction=_angle(_tan(self.friction) / factor))
+
     @property
     def damping_ratio(self) -> float:
         """Fraction of critical damping of the contact, as that of a linear one (contact/particles.py)."""
         return _damping_of(float(self.restitution))
+
+
+def _angle(tangent: float) -> float:
+    return float(np.degrees(np.arctan(tangent)))
 
 
 def _damping_of(restitution: float) -> float:

@@ -360,7 +360,7 @@ class Scene:
         if target is None:
             found = [(block, None) for block in self.blocks]
         elif isinstance(target, Block):
-            if target._scene is not self:
+            if target._scene.handles is not self.handles:
                 raise SceneError(f"selector {target!r}: this block belongs to another scene")
             found = [(leaf, None) for leaf in target.leaves()]
         elif isinstance(target, (list, tuple)):
