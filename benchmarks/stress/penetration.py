@@ -42,6 +42,11 @@ def s07(full: bool) -> Iterator[Row]:
     yield holds("20 %: blocks part", apart and speed > 0, "yes")
     yield at_most("20 %: speed / sqrt(kn A d^2 / m)", speed / np.sqrt(1e9 * d**2 / 1000.0), 1.05)
     yield at_most("20 %: energy after / stored", sim.energy.kinetic / stored, 1.01)
+    hard = simulation(overlapping(0.2)[0], fdem.ContactDynamics(dt=1e-3))
+    hard.cycle(60)
+    yield at_most("20 %, contact dynamics: kinetic energy / m g L", hard.energy.kinetic / (2000 * G), 1e-6)
+    left = abs(hard["b"].position[2] - hard["a"].position[2] - 1.0)
+    yield at_most("20 %, contact dynamics: overlap that is left [m]", left, 1e-6)
     for part, tolerance in ((0.3, 0.0), (0.2, None), (0.3, None)):
         name = f"{100 * part:g} %, gap_tolerance={tolerance}"
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,13 @@ def errors_of_million(sim: fdem.Simulation) -> tuple[float, float, float]:
     return np.abs(forces).max() / (HEAVY * G), closure, np.abs(sim[["light", "heavy"]].velocity).max()
 
 
+def check_million_on_one(sim: fdem.Simulation, rel: float) -> None:
+    """Raise an error unless forces are right to `rel`, and closure and speed within the criterion."""
+    force, closure, speed = errors_of_million(sim)
+    if not (force <= rel and closure <= 1.05 and speed <= 1e-3):
+        raise AssertionError(f"forces {force:.2g} against {rel:g}, closure {closure:.4g}, speed {speed:.2g} m/s")
+
+
 @scenario("S01", "mass ratio 1 : 1e6, heavy on light")
 def s01(full: bool) -> Iterator[Row]:
     """Relaxed, then ten seconds (quick: 0.05 s) of explicit steps from there."""
@@ -53,6 +61,26 @@ def s01(full: bool) -> Iterator[Row]:
     yield at_most(f"explicit {sim.time:.2g} s: error of the forces", worst[0], 1e-4)
     yield at_most("explicit: closure / elastic", worst[1], 1.05)
     yield at_most("explicit: speed [m/s]", worst[2], 1e-3)
+    static = simulation(million_on_one(), fdem.Static(tolerance=1e-11))
+    static.solve(ratio=1e-11)
+    force, closure, _ = errors_of_million(static)
+    yield at_most("Static: error of the forces", force, 1e-8)
+    yield at_most("Static: closure / elastic", closure, 1.05)
+    sim = simulation(million_on_one(), fdem.Newmark(dt=0.5, tolerance=1e-10), start=static)
+    worst = np.zeros(3)
+    for _ in range(20):
+        sim.cycle(1)
+        worst = np.maximum(worst, errors_of_million(sim))
+    yield at_most(f"Newmark {sim.time:.2g} s: error of the forces", worst[0], 1e-8)
+    yield at_most("Newmark: speed [m/s]", worst[2], 1e-3)
+    sim, iterations, speed = simulation(million_on_one(), fdem.ContactDynamics(dt=1e-2)), 0, 0.0
+    for _ in range(1000 if full else 100):
+        sim.cycle(1)
+        iterations = max(iterations, sim.integrator.iterations)
+        speed = max(speed, np.abs(sim[["light", "heavy"]].velocity).max())
+    yield at_most(f"contact dynamics {sim.time:.2g} s: error of the forces", errors_of_million(sim)[0], 1e-6)
+    yield at_most("contact dynamics: iterations of a step", iterations, 1000)
+    yield at_most("contact dynamics: speed [m/s]", speed, 1e-3)
 
 
 @scenario("S11", "stack of ten cubes without friction")
@@ -129,6 +157,19 @@ def s20(full: bool) -> Iterator[Row]:
         yield at_most(f"{n * n} facets: error of the resultant", error if report.converged else np.nan, 1e-8)
         yield at_most(f"{n * n} facets: error of the shares", share, 1e-6)
     yield at_most("cycles, most over fewest", max(cycles) / min(cycles), 10)
+    for name, integrator in (("Static", fdem.Static), ("contact dynamics", partial(fdem.ContactDynamics, dt=1e-2))):
+        iterations = []
+        for n in (1, 2, 10):
+            scene, box = on_facets(n)
+            sim = simulation(scene, integrator())
+            if name == "Static":
+                sim.solve(ratio=1e-10)
+            else:
+                sim.cycle(1)
+            iterations.append(max(sim.integrator.iterations, 1))
+            error = np.abs(sim[box].contact_force - [0, 0, 1000 * G]).max() / (1000 * G)
+            yield at_most(f"{name}, {4 * n * n} points: error of the resultant", error, 1e-8)
+        yield at_most(f"{name}: iterations, most over fewest", max(iterations) / min(iterations), 10)
     weight, h = 2000 * G, np.sqrt(0.5)
     for friction in (0.0, 20.0, 50.0):
         scene, box = in_groove(friction)
@@ -243,6 +284,16 @@ def s12(full: bool) -> Iterator[Row]:
     closures = courses * (courses + 1) / 2 * found["brick"] / (kn * 0.2 * 0.1)
     moved = np.linalg.norm(sim[stones].displacement, axis=1).max()
     yield at_most("largest motion / sum of closures", moved / closures, 2.0)
+    rows, columns = (courses, bricks) if full else (10, 10)
+    scene, stones = wall(rows, columns)
+    sim, residual = simulation(scene, fdem.ContactDynamics(dt=1e-3)), 0.0
+    for _ in range(3):
+        sim.cycle(1)
+        residual = max(residual, sim.integrator.residual)
+    name = f"contact dynamics, {len(stones)} bricks"
+    yield at_most(f"{name}: residual", residual, 1e-6)
+    found = pushes_in_wall(sim, stones, rows)
+    yield at_most(f"{name}: mean of the courses: error", found["courses"], 1e-4)
 
 
 @scenario("S22", "coordinates of a national grid")

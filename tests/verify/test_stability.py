@@ -11,7 +11,6 @@ from stress import base, penetration, rest, solids, steps  # noqa: F401  (they f
 
 # what does not reach its criterion, and why (benchmarks/README.md)
 KNOWN = {("S17", "step 0 m, patches kept: error of the force"): "patches are kept for 1e-3 of the block's size"}
-LONG = ("S03",)  # more than a few seconds even when shortened
 CHEAP = ("damping", "loads", "energy", "orientation", "history", "laws")
 
 
@@ -22,15 +21,13 @@ def check(number, full):
     assert {(number, row.what) for row in failed} <= KNOWN.keys(), failed
 
 
-@pytest.mark.parametrize(
-    "number", [pytest.param(n, marks=pytest.mark.long) if n in LONG else n for n in sorted(base.SCENARIOS)]
-)
+@pytest.mark.parametrize("number", sorted(base.SCENARIOS))
 def test_scenario(number):
     check(number, full=False)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("number", ["S01", "S09", "S14", "S24", "S26", "S30", "S36"])
+@pytest.mark.parametrize("number", ["S01", "S03", "S09", "S14", "S24", "S26", "S12", "S30", "S36"])
 def test_scenario_as_listed(number):
     check(number, full=True)
 
