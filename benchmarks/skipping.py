@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import reporting
+from skipping_imports import Process, without_mesher
 
 import fdem
 
@@ -360,50 +357,6 @@ enter(
 )  # fmt: skip
 
 # imports
-
-PROGRAM = """
-import sys, warnings
-{first}
-import fdem
-warnings.simplefilter("ignore")
-scene = fdem.Scene()
-scene.add(fdem.brick((-1, -1, -1), (2, 2, 0)), fdem.Rigid(), fixed=True)
-block = scene.add(fdem.brick((0, 0, 0), (1, 1, 1)), {body}, fdem.Elastic(2500.0, 1e9, 0.2))
-scene.joint(fdem.Coulomb(kn=1e9, ks=1e9, friction=30))
-sim = fdem.Simulation(scene, fdem.Explicit(), progress=False)
-sim.cycle(20)
-print(*sim[block].position)
-"""
-
-
-class Process:
-    """Looks like a simulation whose step is a whole process."""
-
-    def __init__(self, needed: bool) -> None:
-        self.first, self.position = "import gmsh, skfem, pyvista" if needed else "", None
-
-    def cycle(self, steps: int) -> None:
-        """Run the program."""
-        self.position = output(self.first, "fdem.Rigid()")
-
-    def describe(self) -> str:
-        """Of the same scene."""
-        return compiled(one(fdem.Rigid())[0]).describe()
-
-
-def output(first: str, body: str) -> list[float] | None:
-    """Where the block is at the end; None if the program fails."""
-    code = PROGRAM.format(first=first, body=body)
-    env = os.environ | {"PYTHONPATH": str(reporting.HERE.parent)}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, check=False)
-    return None if done.returncode else [float(value) for value in done.stdout.split()]
-
-
-def without_mesher() -> Answer:
-    """A block of zones where gmsh cannot be imported."""
-    body = "fdem.Zoned(size=0.5)"
-    return output("", body), output('sys.modules["gmsh"] = None', body)
-
 
 enter(
     "imports", "imports of gmsh, scikit-fem, pyvista", "gmsh and scikit-fem are not imported", 0.0, Process,
