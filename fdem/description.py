@@ -28,6 +28,12 @@ def describe(sim: Any) -> str:
     if sim.system.particles is not None:
         lines += sphere_readout.notes(sim.system.particles)
     lines.append(sleepers(contacts))
+    if contacts is not None:
+        lines.append("detection: left out of steps before which nothing has moved far enough to matter")
+    if len(model.zones):
+        lines.append("stress recovery: left out of steps, stresses are computed when asked for")
+    if not sim._observers:
+        lines.append("histories and frames: left out, none is asked for")
     if sim.ledger is None:
         lines.append("energy ledger: left out (energy=False)")
     if sim.system.f_load is None:

@@ -10,7 +10,6 @@ from bodies import rotation
 from test_rigid import Top, box_inertia
 from test_shapes import TET_FACES, TONON, l_prism
 from verify.meshes import plane
-from verify.test_fe_patch import SHIFT, A, exact_stress
 from verify.test_uniform_strain import alone
 
 import fdem
@@ -196,49 +195,3 @@ def test_fe_rigid_rotation_in_free_spin(body):
 
 
 # S05
-
-
-def sliver(away, integrator=None):
-    """The zones of a cube from its 12 surface triangles to an inner node `away` from its lower face, free or held.
-
-    Returns the simulation, the block and the stress of the linear field it is brought to with all its nodes; then
-    only the corners are held.
-    """
-    shape = fdem.brick((0, 0, 0), (1, 1, 1))
-    points = np.vstack([shape.points, [0.4, 0.45, away]])
-    tets = np.column_stack([np.full(12, 8), shape.triangles])
-
-    def scene():
-        made = fdem.Scene(gravity=(0, 0, 0))
-        return made, made.add(fdem.tet_mesh(points, tets), fdem.Zoned(), fdem.Elastic(2500, 1e10, 0.25))
-
-    made, block = scene()
-    if integrator is not None:
-        return fdem.Simulation(made, integrator, progress=False)
-    made.apply(fdem.Displacement(lambda x: x @ A.T + SHIFT), block)
-    start = fdem.Simulation(made, fdem.Relaxation(), progress=False)
-    start.cycle(1500)
-    made, block = scene()
-    made.fix(block, ("x", "y", "z"), where=lambda x: (np.abs(x - 0.5) > 0.5 - 1e-9).all(axis=1))
-    return fdem.Simulation(made, fdem.Relaxation(), start=start, progress=False), block
-
-
-@pytest.mark.parametrize(("away", "limit"), [(1e-3, 1e-6), (1e-5, 1e-3), (1e-7, 1e-2)])
-def test_s05_sliver_zones(away, limit):
-    """Patch test: the inner node stays where the field puts it, every stress right to 1e-6, 1e-3, 1e-2.
-
-    Round-off of positions over strain and altitude is eps / (1e-4 away).
-    """
-    sim, block = sliver(away)
-    sim.cycle(2000)
-    exact, moved = exact_stress(A), sim[block].gridpoint_displacement
-    assert np.abs(sim[block].zone_stress - exact).max() <= limit * np.abs(exact).max()
-    places = sim[block].gridpoints - moved
-    assert np.abs(moved - places @ A.T - SHIFT).max() <= limit * 1e-4 * away
-
-
-@pytest.mark.parametrize("away", [1e-3, 1e-5, 1e-7])
-def test_s05_the_step_of_sliver_zones(away):
-    """The stable step goes with the root of the least altitude (the node keeps its mass), within a factor of 2."""
-    limits = [s.integrator.limit(s.system) for s in (sliver(distance, fdem.Explicit()) for distance in (1e-2, away))]
-    assert 0.5 <= limits[1] / limits[0] / np.sqrt(away / 1e-2) <= 2.0

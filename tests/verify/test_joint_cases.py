@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import brentq, minimize_scalar
+from stress.far import CRITICAL, LINE, RA, RB, SIDES, slid
 from verify.meshes import box, plane
 
 import fdem
@@ -124,46 +125,7 @@ def test_angular_acceleration_at_onset():
 # ---------------------------------------------------------------------------------------------------------- wedge
 
 
-def normal_of(dip, direction):
-    """Upward normal of a plane."""
-    d, a = np.radians(dip), np.radians(direction)
-    return np.array([np.sin(d) * np.sin(a), np.sin(d) * np.cos(a), np.cos(d)])
-
-
-SIDES = normal_of(40, 130), normal_of(60, 220)
-LINE = np.cross(*SIDES) / np.linalg.norm(np.cross(*SIDES))
-LINE = LINE if LINE[2] < 0 else -LINE
 # equilibrium of a unit weight across the line of intersection: normal forces, and what drives along it
-RA, RB, DRIVE = np.linalg.solve(np.column_stack([*SIDES, -LINE]), [0.0, 0.0, 1.0])
-CRITICAL = np.degrees(np.arctan(DRIVE / (RA + RB)))
-
-
-def wedge(phi, speed=0.0, origin=(0.0, 0.0, 0.0), kn=1e9):
-    """Rock cut by planes 40/130 and 60/220 (dip/direction); the piece above both is free, g = 10."""
-    origin = np.asarray(origin)
-    scene = fdem.Scene(gravity=(0, 0, -10))
-    pieces = [fdem.brick(origin - 5, origin + 5)]
-    for dip, direction in ((40, 130), (60, 220)):
-        pieces = fdem.cut(pieces, fdem.JointSet(dip, direction, origin=tuple(origin)))
-    for piece in pieces:
-        above = tuple(bool((piece.centroid - origin) @ n > 0) for n in SIDES)
-        name = {(1, 1): "wedge", (0, 1): "under A", (1, 0): "under B", (0, 0): "deep"}[above]
-        moves = {"velocity": speed * LINE} if name == "wedge" else {"fixed": True}
-        scene.add(piece, fdem.Rigid(), fdem.Elastic(2000.0), name=name, **moves)
-    scene.joint(fdem.Coulomb(kn=kn, ks=kn, friction=phi, damping=0.1))
-    return scene
-
-
-def slid(phi, origin, speed=0.3):
-    """Slides on along the line from a settled start; mean acceleration after the shear has turned into the line."""
-    settled = fdem.Simulation(wedge(35.0, origin=origin), fdem.Relaxation(), progress=False)
-    assert settled.solve(ratio=1e-8).reason == "equilibrium"
-    sim = fdem.Simulation(wedge(phi, speed, origin), fdem.Explicit(safety=0.4), start=settled, progress=False)
-    begin = sim["wedge"].position
-    sim.run(time=0.1)
-    first = sim["wedge"].velocity @ LINE
-    sim.run(time=0.2)
-    return sim, begin, (sim["wedge"].velocity @ LINE - first) / 0.2
 
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (500_000.0, 4_600_000.0, 300.0)])

@@ -9,10 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from stress import rest
 from verify import test_contact_acceptance as acceptance
 from verify import test_contact_cases as shear
 from verify import test_joint_cases as cases
-from verify import test_stress_rest as rest
 
 import fdem
 
