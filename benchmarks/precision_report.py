@@ -6,6 +6,7 @@ import math
 import re
 from itertools import groupby
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -13,6 +14,7 @@ import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 KNOBS = ("size", "dt", "safety", "kn", "ratio")
 LEVELS = (0.01, 0.001)
@@ -23,6 +25,7 @@ BODY = {"Rigid": "tab:gray", "UniformStrain": "tab:blue", "LinearStrain": "tab:g
 INTEGRATOR = {"Explicit": "o", "Newmark": "s", "Newmark(beta=0.5, gamma=1.0)": "v", "GeneralizedAlpha": "D",
               "ContactDynamics": "*", "Static": "P", "Relaxation(damping=Adaptive)": "^",
               "Relaxation(damping=Local)": "<"}  # fmt: skip
+SIZE = {"ContactDynamics": 9}
 SHORT = {"Newmark(beta=0.5, gamma=1.0)": "Newmark (DDA)", "Relaxation(damping=Adaptive)": "Relaxation, adaptive",
          "Relaxation(damping=Local)": "Relaxation", "Zoned(strain='small')": "Zoned, small strain"}  # fmt: skip
 
@@ -36,7 +39,7 @@ def pareto(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows that no other beats in time and error, cheapest first."""
     front: list[dict[str, Any]] = []
     for row in sorted(good(rows), key=lambda r: (r["cpu"], r["error"])):
-        if not front or row["error"] < front[-1]["error"]:
+        if not front or max(row["error"], FLOOR) < front[-1]["error"]:
             front.append(row)
     return front
 
@@ -92,7 +95,16 @@ def draw(name: str, problem: dict[str, Any], axes: Any) -> None:
         body, integrator = parts(series)
         line = sorted(group, key=lambda r: r["cpu"])
         x, y = [r["cpu"] for r in line], [max(r["error"], FLOOR) for r in line]
-        axes.loglog(x, y, INTEGRATOR.get(integrator, "x"), color=BODY.get(body, "k"), ms=6, alpha=0.8, mew=0)
+        axes.loglog(
+            x,
+            y,
+            marker=INTEGRATOR.get(integrator, "x"),
+            color=BODY.get(body, "k"),
+            ls="",
+            ms=SIZE.get(integrator, 6),
+            alpha=0.8,
+            mew=0,
+        )
     front = pareto(rows)
     axes.loglog([r["cpu"] for r in front], [max(r["error"], FLOOR) for r in front], "k-", lw=1.2, zorder=0)
     axes.loglog([r["cpu"] for r in front], [max(r["error"], FLOOR) for r in front], "ko", ms=11, mfc="none", mew=1)
@@ -103,7 +115,15 @@ def draw(name: str, problem: dict[str, Any], axes: Any) -> None:
         axes.axhline(level, color="0.6", lw=0.7, ls=":")
     axes.set_title(f"{problem['title']}", fontsize=10)
     axes.set_xlabel("CPU time, set-up and solve [s]", fontsize=8)
-    axes.set_ylabel(f"relative error: {problem['quantity'].split(' [')[0]}", fontsize=6.5)
+    axes.set_ylabel("relative error: " + fill(problem["quantity"].split(" [")[0], 42), fontsize=7)
+    low, high = axes.get_xlim()
+    if high < 10 * low:  # at least a decade, so that small differences look small
+        middle = math.sqrt(low * high)
+        axes.set_xlim(middle / math.sqrt(10), middle * math.sqrt(10))
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.tick_params(labelsize=7)
     axes.grid(alpha=0.25, which="major")
 
