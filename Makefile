@@ -30,10 +30,13 @@ test-long: $(STAMP)
 bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python benchmarks/kernels.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/step.py
-	$(ONE_THREAD) $(BIN)/python benchmarks/flex.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/contact.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/bodies.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/jointed.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/stability.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/skip.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/scaling.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/peers.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/wall.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/precision.py
 

@@ -16,11 +16,10 @@ from collections.abc import Callable
 from itertools import permutations
 
 import numpy as np
+from flex_peer import CELLS, DENSITY, DT, EDGE, POISSON, YOUNG, mujoco_steps
 
 import fdem
 
-CELLS, EDGE, DT = 10, 0.05, 1e-5
-YOUNG, POISSON, DENSITY = 1e6, 0.3, 1000.0
 ROUNDS = 3
 
 
@@ -37,32 +36,6 @@ def grid() -> tuple[np.ndarray, np.ndarray]:
     left = np.linalg.det(edges) < 0
     tets[left] = tets[left][:, [0, 1, 3, 2]]
     return points, tets
-
-
-def mujoco_steps() -> tuple[Callable[[int], None], str]:
-    """Return a function that runs so many steps of MuJoCo flex, and what it is."""
-    import mujoco
-
-    side = CELLS * EDGE
-    xml = f"""<mujoco>
-      <option timestep="{DT}" integrator="Euler" solver="CG" tolerance="1e-6" gravity="0 0 -9.81"/><size memory="2G"/>
-      <worldbody>
-        <geom type="plane" size="0 0 1"/>
-        <flexcomp name="block" type="grid" dim="3" count="{CELLS + 1} {CELLS + 1} {CELLS + 1}"
-          spacing="{EDGE} {EDGE} {EDGE}" pos="0 0 {side / 2 + 0.001}" mass="{DENSITY * side**3}" radius="0.001">
-          <elasticity young="{YOUNG}" poisson="{POISSON}" damping="0"/><contact selfcollide="none"/>
-        </flexcomp>
-      </worldbody>
-    </mujoco>"""
-    model = mujoco.MjModel.from_xml_string(xml)
-    data = mujoco.MjData(model)
-    assert int(model.flex_elemnum[0]) == 6 * CELLS**3
-
-    def run(steps: int) -> None:
-        for _ in range(steps):
-            mujoco.mj_step(model, data)
-
-    return run, f"MuJoCo {mujoco.__version__} flex, Euler"
 
 
 def fdem_steps(strain: str) -> tuple[Callable[[int], None], str]:

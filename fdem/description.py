@@ -8,6 +8,7 @@ import numpy as np
 
 from fdem.contact import sphere_readout
 from fdem.contact.carry import notes
+from fdem.contact.parking import sleepers
 
 __all__ = ["describe"]
 
@@ -26,6 +27,13 @@ def describe(sim: Any) -> str:
         lines += notes(contacts)
     if sim.system.particles is not None:
         lines += sphere_readout.notes(sim.system.particles)
+    lines.append(sleepers(contacts))
+    if contacts is not None:
+        lines.append("detection: left out of steps before which nothing has moved far enough to matter")
+    if len(model.zones):
+        lines.append("stress recovery: left out of steps, stresses are computed when asked for")
+    if not sim._observers:
+        lines.append("histories and frames: left out, none is asked for")
     if sim.ledger is None:
         lines.append("energy ledger: left out (energy=False)")
     if sim.system.f_load is None:

@@ -13,6 +13,7 @@ import numpy as np
 from fdem import checkpoint
 from fdem.compile import Compiled, compile_scene
 from fdem.contact import carry
+from fdem.contact.parking import Parking
 from fdem.errors import FdemWarning, SceneError
 from fdem.guard import CHECK_EVERY, Guard
 from fdem.integrate.explicit import Explicit, Relaxation
@@ -37,7 +38,7 @@ class Simulation(Readout):
     ----------
     scene : Scene
         What to simulate.
-    integrator : Explicit or Relaxation
+    integrator : Explicit, Relaxation, Newmark, GeneralizedAlpha, Static or ContactDynamics
         How.
     start : Simulation or path, optional
         Another simulation (or a saved file) whose state goes over by block name. Fictitious time and
@@ -109,11 +110,14 @@ class Simulation(Readout):
         self.model, self.state, self.drags = compiled.model, compiled.state, compiled.drags
         self._turning = [_run(batch.rows) for batch in compiled.model.batches if batch.turns]
         self._turns = getattr(self.integrator, "take_turns", self._advanced)
+        contacts, state, model = compiled.contacts, compiled.state, compiled.model
+        if contacts is not None and getattr(self.integrator, "sleep", None) is not None:
+            contacts = Parking(contacts, state.x, state.x_old, model.gp_block, model.batch_index < 0)
         loads = compiled.loads + [Release(None, gp, forces, at, over) for gp, forces, at, over in self._releases]
         self.system = System(
             compiled.model,
             compiled.state,
-            compiled.contacts,
+            contacts,
             compiled.particles,
             compiled.constraints,
             loads,
@@ -393,7 +397,7 @@ def load(path: str | Path, scene: Scene, integrator: Any, **options: Any) -> Sim
         What `Simulation.save` wrote.
     scene : Scene
         The same scene, built again.
-    integrator : Explicit or Relaxation
+    integrator : Explicit, Relaxation, ...
         The same integrator.
     **options
         As of `Simulation`.

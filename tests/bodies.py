@@ -11,13 +11,15 @@ ROCK = fdem.Elastic(density=2500.0, young=1e9, poisson=0.25)
 # a new formulation is done when its name is added here and everything passes
 BODIES = {
     "rigid": fdem.Rigid(),
+    "clump": fdem.Rigid(),
+    "sphere": fdem.Rigid(),
     "uniform": fdem.UniformStrain(),
     "linear": fdem.LinearStrain(),
     "zoned": fdem.Zoned(),
     "zoned small": fdem.Zoned(strain="small"),
     "zoned matched": fdem.Zoned(mass="inertia-matched"),
 }
-DEFORM = [name for name in BODIES if name != "rigid"]
+DEFORM = [name for name, body in BODIES.items() if not isinstance(body, fdem.Rigid)]
 
 
 def rotation(axis, angle):
@@ -36,23 +38,31 @@ def turned(shape, seed):
     return shape.transform(matrix)
 
 
-def shapes():
-    """A box, a prism that is not convex, a tetrahedron: far apart, none aligned with the axes."""
+def apart(made):
+    """Shapes in random attitudes, 10 m from one to the next."""
+    away = np.tile(np.eye(4), (len(made), 1, 1))
+    away[:, 0, 3] = 10.0 * np.arange(len(made))
+    return [turned(shape, i).transform(away[i]) for i, shape in enumerate(made)]
+
+
+def shapes(body):
+    """A box, a prism that is not convex, a tetrahedron, or round ones: far apart, none aligned with the axes."""
+    if body == "sphere":
+        return [fdem.sphere(0.3 + 0.4 * i, (10.0 * i, 0.1, -0.2)) for i in range(3)]
+    if body == "clump":
+        balls = [[((0, 0, 0), 0.5), ((0.9, 0, 0), 0.8)], [((0, 0, 0), 0.6), ((1, 0, 0), 0.6), ((0.2, 0.7, 0.4), 0.6)]]
+        made = [fdem.clump(each) for each in (*balls, [((0, 0, 0), 0.5), ((2, 1, 0), 0.3)])]
+        return apart(made)
     corner = [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]
     tetrahedron = fdem.convex_hull([[0.1, 0.2, 0.0], [1.3, 0.1, 0.2], [0.4, 1.1, 0.1], [0.3, 0.4, 0.9]])
     made = [fdem.brick((0, 0, 0), (1, 2, 3)), fdem.prism(corner, 1.0, axis="z"), tetrahedron]
-    result = []
-    for i, shape in enumerate(made):
-        away = np.eye(4)
-        away[0, 3] = 10.0 * i
-        result.append(turned(shape, i).transform(away))
-    return result
+    return apart(made)
 
 
 def blocks_of(body, gravity=(0.0, 0.0, 0.0), stress=False, **given):
     """A simulation of three blocks that never meet."""
     scene = fdem.Scene(gravity=gravity)
-    for shape in shapes():
+    for shape in shapes(body):
         scene.add(shape, BODIES[body], ROCK, **given)
     scene.joint(fdem.Coulomb(kn=1e9, ks=1e9, friction=30.0))
     if stress:

@@ -4,30 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from stress.steps import CUBE, FACES, ROCK, TWELVE, scene_of, with_row
 
 import fdem
 
-ROCK = fdem.Elastic(density=2500, young=1e10, poisson=0.2)
-CUBE = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], float)
-FACES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
 TETS = [[0, 1, 2, 3]]
 CORNER = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
 
 
 def brick():
     return fdem.brick((0, 0, 0), (1, 1, 1))
-
-
-def scene_of(shape=None, body=None, material=ROCK, **given):
-    scene = fdem.Scene()
-    scene.add(brick() if shape is None else shape, body or fdem.Rigid(), material, name="cube", **given)
-    return scene
-
-
-def with_row(values, row, value):
-    values = np.array(values, dtype=float)
-    values[row] = value
-    return values
 
 
 def refused(act, match, kind=fdem.FdemError):
@@ -41,26 +27,6 @@ def refused(act, match, kind=fdem.FdemError):
     finally:
         fdem.Simulation._step = original
     assert not steps, "the first step was taken"
-
-
-TWELVE = {
-    "NaN coordinate": (lambda: fdem.polyhedron(with_row(CUBE, (3, 1), np.nan), FACES), r"points\[3\]"),
-    "infinite velocity": (lambda: scene_of(velocity=(0, np.inf, 0)), "'cube'.*velocity"),
-    "negative density": (lambda: fdem.Elastic(density=-2500), "density = -2500"),
-    "nu = 0.5": (lambda: fdem.Elastic(density=2500, young=1e10, poisson=0.5), r"poisson = 0\.5"),
-    "E = 0": (lambda: fdem.Elastic(density=2500, young=0, poisson=0.2), "young = 0"),
-    "mu < 0": (lambda: fdem.Coulomb(kn=1e9, ks=1e9, friction=-5), "friction = -5"),
-    "dt = 0": (lambda: fdem.Explicit(dt=0.0), r"dt = 0\.0"),
-    "dt < 0": (lambda: fdem.Explicit(dt=-1e-3), r"dt = -0\.001"),
-    "empty mesh": (lambda: fdem.polyhedron([], []), "empty mesh"),
-    "duplicate node": (
-        lambda: fdem.polyhedron(with_row(CUBE, 3, CUBE[1]), FACES),
-        r"points\[1\].*points\[3\]|duplicate",
-    ),
-    "face index out of range": (lambda: fdem.polyhedron(CUBE, [*FACES[:-1], [1, 5, 8, 3]]), r"faces\[5\]"),
-    "non-closed polyhedron": (lambda: fdem.polyhedron(CUBE, FACES[:-1]), "open at edge"),
-    "material missing": (lambda: scene_of(body=fdem.Zoned(), material=None), "'cube'.*material"),
-}
 
 
 @pytest.mark.parametrize("name", TWELVE)

@@ -176,7 +176,8 @@ def test_step_bound_is_safe(made, body):
         exact = np.linalg.eigvals(np.linalg.solve(M[own, own], K[own, own])).real.max()
         have = bound[batch.rows[row]]
         assert have >= exact * (1 - 1e-9) - 1e-6
-        if not batch.in_place:
+        # round bodies in flight count on a first contact, which leaves no trace in K
+        if not batch.in_place and body not in ("clump", "sphere"):
             assert have == pytest.approx(exact, rel=1e-9, abs=1e-6)
 
 
@@ -241,11 +242,11 @@ def free_flight(sim, body, dt, steps):
 def test_energy_and_momentum_in_free_flight(made, body):
     """Energy to second order in the step; momentum and angular momentum to round-off."""
     sim = made(body)
-    limit = 2.0 / np.sqrt(sim.system.block_frequencies().max()) if body != "rigid" else 2e-2
+    limit = 2.0 / np.sqrt(sim.system.block_frequencies().max()) if body in DEFORM else 2e-2
     runs = [free_flight(made(body), body, share * limit, steps) for share, steps in ((0.1, 40), (0.05, 80))]
     for _, linear, angular in runs:
         assert linear <= 1e-13 and angular <= 1e-12
-    if body == "rigid":
+    if body not in DEFORM:
         assert max(run[0] for run in runs) <= 1e-13  # the midpoint rule keeps it exactly
     else:
         assert runs[0][0] / runs[1][0] == pytest.approx(4.0, rel=0.2)

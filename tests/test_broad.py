@@ -4,18 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from stress.penetration import brute
 
 from fdem.kernels.broad import box_pairs
-
-
-def brute(lower, upper, reach, fixed):
-    """All pairs by comparison of all boxes, sorted."""
-    lo, hi = lower - reach[:, None], upper + reach[:, None]
-    found = []
-    for i in range(len(lo)):
-        meet = ((lo[i + 1 :] <= hi[i]) & (lo[i] <= hi[i + 1 :])).all(axis=1) & ~(fixed[i] & fixed[i + 1 :]).astype(bool)
-        found += [(i, j) for j in i + 1 + np.flatnonzero(meet)]
-    return np.array(found, dtype=np.int32).reshape(-1, 2)
 
 
 def boxes(n, decades, domain, seed):

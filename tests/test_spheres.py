@@ -131,6 +131,22 @@ def test_force_comes_from_the_nearest_point(nearest, direction):
     assert count == 1
 
 
+def test_a_cylinder_is_round_to_its_tolerance():
+    """At any angle one force: depth to tolerance x radius, as stated, direction to half the angle between facets."""
+    tolerance, radius, depth = 1e-3, 0.5, 0.002
+    shape = fdem.cylinder(radius, (0, 0, -1), (0, 0, 1), tolerance=tolerance)
+    facets = len(shape.faces) - 2
+    worst = 0.0
+    for angle in [0.0, np.pi / facets, *np.random.default_rng(0).uniform(0, 2 * np.pi, 8)]:
+        out = np.array([np.cos(angle), np.sin(angle), 0.0])
+        force, count = pressed(shape, (radius + R - depth) * out)
+        assert count == 1
+        assert abs(np.linalg.norm(force) - depth) <= tolerance * radius
+        assert force @ out >= np.linalg.norm(force) * np.cos(np.pi / facets)
+        worst = max(worst, abs(np.linalg.norm(force) - depth))
+    assert worst > 0.1 * tolerance * radius  # the facets are there
+
+
 def test_two_faces_of_a_corner_both_push():
     ell = fdem.prism([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], 1.0)
     force, count = pressed(ell, (1 + R - 0.001, 0.5, 1 + R - 0.002))

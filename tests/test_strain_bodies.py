@@ -10,6 +10,7 @@ from contact_tools import grid_box
 from numpy.testing import assert_allclose, assert_array_equal
 from scenes import assert_same_bits, everything, pile, quietly, simulation
 from test_invariance import SI, Units
+from verify.meshes import box
 
 import fdem
 
@@ -355,9 +356,19 @@ def test_a_mixed_stack(body):
     assert sim[cubes[1]].stress[2] == pytest.approx(-(weights[1] - 0.5 * 2000 * G), rel=1e-3)
 
 
+def gridded(body, grid):
+    """A unit cube whose upper face is cut into so many triangles, 2 to a cell; in zones, as a zoned block is."""
+    return box((*grid, 1), (1, 1, 1)) if body == "zoned" else fdem.polyhedron(*grid_box(*grid))
+
+
+@pytest.mark.filterwarnings("ignore::fdem.FdemWarning")  # flat zones
 @pytest.mark.parametrize(
     ("body", "grid"),
-    [("uniform", (22, 23)), ("linear", (7, 8)), pytest.param("linear", (22, 23), marks=pytest.mark.long)],
+    [
+        *((body, (22, 23)) for body in ("rigid", "uniform", "zoned")),
+        ("linear", (7, 8)),
+        pytest.param("linear", (22, 23), marks=pytest.mark.long),
+    ],
 )
 def test_facets_make_no_difference(monkeypatch, body, grid):
     """A face in a thousand triangles instead of one polygon, under a tilted stamp: the same force and moment.
@@ -368,11 +379,14 @@ def test_facets_make_no_difference(monkeypatch, body, grid):
 
     monkeypatch.setattr(layer, "Contacts", partial(layer.Contacts, prune=0.0))
 
-    fine = fdem.polyhedron(*grid_box(*grid))
+    kind = {**KINDS, "rigid": fdem.Rigid(), "zoned": fdem.Zoned()}[body]
     results = []
-    for shape in (fdem.brick((0, 0, 0), (1, 1, 1)), fine):
+    for shape in (
+        box((1, 1, 1), (1, 1, 1)) if body == "zoned" else fdem.brick((0, 0, 0), (1, 1, 1)),
+        gridded(body, grid),
+    ):
         scene = fdem.Scene(gravity=(0, 0, 0), gap_tolerance=0)
-        block = scene.add(shape, KINDS[body], ROCK, name="block")
+        block = scene.add(shape, kind, ROCK, name="block")
         tilt, angle = np.eye(4), 2e-4
         tilt[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
         tilt[2, 3] = 1e-4

@@ -57,7 +57,7 @@ class SphereBlocks(entries.Stiff):
             raise SceneError(f"sphere {bad[0]}: mass is {self.mass[bad[0]]}, it must be positive and finite")
         self.moment = 0.4 * self.mass * self.radius**2
         self._inverse = np.column_stack([1.0 / self.mass, 1.0 / self.moment])
-        self._unscaled, self._turn = np.ones(self.n_blocks), np.zeros((self.n_blocks, 3))
+        self._turn = np.zeros((self.n_blocks, 3))
         self.rows = np.arange(self.n_blocks)
         self.size = np.ones(self.n_blocks)
         self.free = np.ones(self.n_blocks, dtype=bool)
@@ -99,7 +99,8 @@ class SphereBlocks(entries.Stiff):
 
     def accelerate(self, q: Array, f: Array, a: Array, scaled: Array | None = None) -> None:
         """Write the accelerations ``(F / m, T / I)`` into ``a`` [m/s^2, rad/s^2]; `scaled` as of `scaled_masses`."""
-        kernels.ball_accelerate(self._v(f), self._inverse, self._unscaled if scaled is None else scaled, self._v(a))
+        inverse = self._inverse if scaled is None else self._inverse / scaled[:, None]
+        kernels.ball_accelerate(self._v(f), inverse, self._v(a))
 
     def advance(self, q: Array, v: Array, dt: float, scaled: Array | None = None) -> None:
         """Move the centres by ``dt`` [s]; angular velocities are momenta and stay."""
@@ -184,7 +185,8 @@ class SphereBlocks(entries.Stiff):
 
     def turn(self, q: Array, v: Array, dt: float) -> Array:
         """Rotation vectors (n_blocks, 3) [rad] of the step ``dt``."""
-        return np.multiply(self._v(v)[:, 3:], dt, out=self._turn)
+        kernels.ball_turn(self._v(v), dt, self._turn)
+        return self._turn
 
     def rotation(self, q: Array, x: Array | None = None) -> Array:
         """Not a number, (n_blocks, 3, 3): no orientation is kept."""

@@ -146,6 +146,7 @@ def _surfaces(layout: Layout, model: Model) -> list[Any]:
                 volume=0.0 if isinstance(shape, Surface) else float(model.volume[i]),
                 mass=np.inf if model.fixed[i] else float(model.mass[i]),
                 whole=kind != "zoned",
+                still=kind == "static",
                 behind=None if mesh is None else (_behind if kind == "zoned" else _opposite)(mesh) + start,
             )
         )
@@ -202,6 +203,8 @@ def _describe(layout: Layout, model: Model, contacts: Any, loads: list[Load]) ->
     model.notes.append("blocks: " + ", ".join(f"{n} {label}" for label, n in counts.items() if n))
     if not layout.of_kind("zoned"):
         model.notes.append("zones: left out, no block has any (gmsh and scikit-fem are not imported)")
+    if not any(batch.has_internal for batch in model.batches):
+        model.notes.append("strain and internal forces: left out, no block that moves deforms")
     absent = [row.label for row in FORMULATIONS if row.kind not in layout.kind]
     if absent:
         model.notes.append(f"blocks that are {' or '.join(absent)}: left out")

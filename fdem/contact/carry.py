@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fdem.contact import response
 from fdem.contact.narrow import Ghosts, Patches
+from fdem.contact.parking import patches_of, whole
 from fdem.errors import CheckpointError
 from fdem.kernels import joints
 from fdem.kernels import patches as kernels
@@ -40,6 +41,7 @@ def adopt(new: Contacts, old: Contacts, rows: Any, gp_number: Any, x: Array) -> 
     CheckpointError
         If a surviving block has other faces than before.
     """
+    old = whole(old)
     block = np.full(old.surfaces.n_blocks, -1, dtype=np.int64)
     block[rows[:, 0]] = rows[:, 1]
     other = np.not_equal(np.diff(old.surfaces.face_start)[rows[:, 0]], np.diff(new.surfaces.face_start)[rows[:, 1]])
@@ -79,6 +81,7 @@ def adopt(new: Contacts, old: Contacts, rows: Any, gp_number: Any, x: Array) -> 
 
 def present(c: Contacts) -> tuple[float, float, float]:
     """Stored energy, friction and damping work [J] including the trial not yet committed."""
+    c = whole(c)
     if not c._trial:
         return c.energy(), c.friction_work, c.damping_work
     work = c.work.copy()
@@ -100,6 +103,7 @@ def closure(c: Contacts) -> tuple[float, str]:
 
 def scatter_between(c: Contacts, chosen: Any, f_gp: Array) -> None:
     """Add to `f_gp` the last forces of contacts with exactly one block in `chosen` (n_blocks,) bool."""
+    c = whole(c)
     p: Patches = c.patches
     if not len(p):
         return
@@ -109,11 +113,13 @@ def scatter_between(c: Contacts, chosen: Any, f_gp: Array) -> None:
 
 def reset_slip(c: Contacts) -> None:
     """Set the recorded slip distances to zero; tractions stay."""
-    c.patches.memory_old[:, 4] = 0.0
+    for p in patches_of(c):
+        p.memory_old[:, 4] = 0.0
 
 
 def notes(c: Contacts) -> list[str]:
     """What the contact layer found and does, one fact a line."""
+    c = whole(c)
     report = c.report
     deepest, names = closure(c)
     lines = [

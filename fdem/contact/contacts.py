@@ -15,7 +15,7 @@ from fdem.contact.history import inherit_history, inherit_laws, known_offsets
 from fdem.contact.laws import LawTable, stiffness_of
 from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
 from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
-from fdem.contact.wear import closing, drifted_pairs, too_deep, worn_pairs
+from fdem.contact.wear import closing, drifted_pairs, least_volumes, too_deep, worn_pairs
 from fdem.errors import OverlapError, SceneError
 from fdem.kernels import corners, footprints, joints, memory, upkeep
 from fdem.kernels import patches as kernels
@@ -125,6 +125,7 @@ class Contacts:
         self._window = REACH * (self._skins[self.slave] + self._skins[self.master])
         if self.gap_tolerance is not None:
             self._window = np.maximum(self._window, self.gap_tolerance)
+        self._least = np.zeros(len(self.pairs))  # overlap that matters beside the other contacts of the blocks [m3]
 
     def pair_names(self, pair: int) -> str:
         """Names of the two blocks of a pair, for messages."""
@@ -135,7 +136,7 @@ class Contacts:
         """Cut pairs anew; laws and flags set, history not yet."""
         s = self.surfaces
         cut = cut_pairs(
-            s, self._geometry, which, self.slave, self.master, self._window, x,
+            s, self._geometry, which, self.slave, self.master, self._window, self._least, x,
             known_offsets(old, s.n_faces, self._geometry), self.prune, self.n_memory,
         )  # fmt: skip
         if len(cut.too_deep):
@@ -186,17 +187,18 @@ class Contacts:
             return self._redo(x, np.ones(s.n_blocks, bool))
         due = np.zeros(len(self.pairs), np.uint8)
         if not closing(self, x, due) and not upkeep.moved(
-            s.surface_gp, s.surface_start, x, self.x_check, self._tolerance
+            s.movers, s.surface_gp, s.surface_start, x, self.x_check, self._tolerance
         ):
             return False
         motion = np.zeros(s.n_blocks)
-        upkeep.block_motion(s.surface_gp, s.surface_start, x, self.x_ref, motion)
+        upkeep.block_motion(s.movers, s.surface_gp, s.surface_start, x, self.x_ref, motion)
         if (motion > 0.5 * self._skins).any():
             return self._redo(x, motion > 0.25 * self._skins)
         self.x_check[:] = x
         worn = worn_pairs(self, x)
         if not worn.any():
             return False
+        self._least = least_volumes(self)
         self._replace(np.flatnonzero(worn).astype(np.int32), x, response.slip_energies(self))
         return True
 
@@ -204,7 +206,7 @@ class Contacts:
         """New broad phase; pairs of refreshed blocks, new pairs and worn ones are cut anew."""
         self.energy()
         worn, drifted = worn_pairs(self, x), drifted_pairs(self, x)
-        old_pairs = self.pairs
+        old_pairs, least = self.pairs, least_volumes(self)
         self.pairs = candidate_pairs(self.surfaces, x, self._skins, self.may_touch)
         at_old, at_new, new_index = common_pairs(old_pairs, self.pairs)
         due = refreshed[self.pairs[:, 0]] | refreshed[self.pairs[:, 1]]
@@ -214,6 +216,7 @@ class Contacts:
         due |= ~known
         due[at_new] |= worn[at_old] > 0
         self._orient()
+        self._least[at_new] = least[at_old]
         there = new_index[self.patches.pair] >= 0
         slip = response.slip_energies(self)
         self._lose_slip(float(slip[~there].sum()))
@@ -222,9 +225,8 @@ class Contacts:
         self.patches.pair = new_index[self.patches.pair]
         self.ghosts = self.ghosts.without(new_index < 0)
         self.ghosts.pair = new_index[self.ghosts.pair]
-        for b in np.flatnonzero(refreshed):
-            ids = self.surfaces.surface_gp[self.surfaces.surface_start[b] : self.surfaces.surface_start[b + 1]]
-            self.x_ref[ids] = x[ids]
+        ids = self.surfaces.surface_gp[np.repeat(refreshed, np.diff(self.surfaces.surface_start))]
+        self.x_ref[ids] = x[ids]
         self.n_detections += 1
         self._replace(np.flatnonzero(due).astype(np.int32), x, slip)
         return True

@@ -110,6 +110,7 @@ class FaceContacts:
         rows = np.arange(int(self.corner_start[-1])) + np.repeat(lo - self.corner_start[:-1], hi - lo)
         self.corner_w = np.ascontiguousarray(s.corner_w[rows])
         self.corner_x, self.normal = np.zeros((len(rows), 3)), np.zeros((len(self.used), 3))
+        self.side, self.across = np.zeros_like(self.corner_x), np.zeros((len(self.used), 6))
         self.mobile = np.ascontiguousarray(facets.mobile[self.used])
         self.moves = bool(self.mobile.any())
         self.slot_at = np.repeat(self.at, np.diff(self.slot_start))
@@ -125,6 +126,7 @@ class FaceContacts:
     def put(self, x: Array) -> None:
         """Bring the faces to the positions `x` [m]."""
         kernels.place_faces(self.ref, self.corner_start, self.corner_w, x, self.corner_x, self.normal)
+        kernels.frame_faces(self.ref, self.corner_start, self.corner_x, self.normal, x, self.side, self.across)
 
     def touch(self, place: Array, motion: Array, x: Array, x_old: Array) -> None:
         """Find the contacts in the positions `x`; `lost` is the energy [J] of shear springs that ended."""
@@ -133,8 +135,8 @@ class FaceContacts:
         self.lost[0] = 0.0
         kernels.touch(
             self.at, self.start, self.face, self.kind, self.slot_start, place, motion, self.ref, self.mobile,
-            self.corner_start, self.corner_x, self.normal, x, x_old, self.memory, self.active, self.geometry,
-            self.slot_kind, self.source, self.candidate, self.weight, self.lost,
+            self.corner_start, self.corner_x, self.normal, self.side, self.across, x, x_old, self.memory, self.active,
+            self.geometry, self.slot_kind, self.source, self.candidate, self.weight, self.lost,
         )  # fmt: skip
 
     def commit(self) -> None:

@@ -223,15 +223,13 @@ def table(points: Points, force: Array, slip: Array) -> dict[str, Any]:
     }
 
 
-def point_rows(points: Points, placement: Any, mobile: Any) -> Rows:
+def point_rows(points: Points, placement: Any) -> Rows:
     """Rows of relative velocities over the unknowns.
 
     Parameters
     ----------
     placement : scipy CSR matrix
         ``P`` (3 n_gp, n_dofs) of ``xdot = P v``.
-    mobile : (n_gp,) array of bool
-        Gridpoints of blocks that can move.
     """
     n, most = len(points), 24 * len(points)
     start = np.zeros(n + 1, np.int64)
@@ -239,7 +237,7 @@ def point_rows(points: Points, placement: Any, mobile: Any) -> Rows:
         dof, J = np.zeros(most, np.int64), np.zeros((most, 3))
         found = cones.point_rows(
             points.gp, points.w, points.frame, points.spin, points.arm, placement.indptr, placement.indices,
-            placement.data, mobile, most, start, dof, J,
+            placement.data, most, start, dof, J,
         )  # fmt: skip
         if found <= most:
             return Rows(start, dof[:found], J[:found])

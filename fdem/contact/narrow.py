@@ -150,13 +150,15 @@ def metric_of(gp: Ints, x: Array) -> Array:
 
 
 def cut_pairs(
-    surfaces: Surfaces, geometry: FaceGeometry, which: Ints, slave: Ints, master: Ints, window: Array, x: Array,
-    offsets: Any, prune: float, memory: int,
+    surfaces: Surfaces, geometry: FaceGeometry, which: Ints, slave: Ints, master: Ints, window: Array, least: Array,
+    x: Array, offsets: Any, prune: float, memory: int,
 ) -> Cut:  # fmt: skip
-    """Cut the pairs `which` (indices into slave, master, window) in the positions `x`.
+    """Cut the pairs `which` (indices into slave, master, window, least) in the positions `x`.
 
     Parameters
     ----------
+    least : (n_all_pairs,) array
+        Overlap [m3] that matters beside the other contacts of the two blocks.
     offsets : callable
         ``offsets(pair, face_s, face_m) -> (n, 3)`` reference gaps known for patches.
     prune : float
@@ -220,6 +222,7 @@ def cut_pairs(
         keep & facing, face_m, gp, start, corners, x, area, depth, s.corner_start, g.corner_x, g.normal, g.kind,
         EDGE_TRAVEL, p.flags, p.normal_reach,
     )  # fmt: skip
+    np.maximum(p.normal_reach, _slide(least[which], size)[local], out=p.normal_reach)
     p.flags[facing] |= kernels.FACING
     empty = np.ones(len(which), bool)
     empty[local[keep]] = False
@@ -233,6 +236,12 @@ def cut_pairs(
     return Cut(
         p, ghosts, which[too_deep == 1], area[ids], closed[ids], align[ids], depth[ids], plane_depth[ids], centre[ids]
     )
+
+
+def _slide(volume: Any, size: Array) -> Array:
+    """Motion [m] of a strip as wide as the block that overlaps TRAVEL of the `volume` [m3] more."""
+    slide: Array = np.sqrt(2.0 * TRAVEL * volume / np.where(np.isfinite(size), size, 1.0))
+    return slide
 
 
 def _normal_reach(
@@ -249,7 +258,7 @@ def _normal_reach(
     latent = np.maximum(latent, LATENT_TRAVEL * travel)
     # a strip gains closed area as the pair slides into it: no more force than TRAVEL of the pair's
     volume = np.bincount(local[facing], 0.5 * (closed * np.maximum(depth, 0.0))[facing], len(travel))
-    slide = np.sqrt(2.0 * TRAVEL * volume / np.where(np.isfinite(size), size, 1.0))
+    slide = _slide(volume, size)
     reach = np.where(~facing & (slide[local] > 0.0), np.minimum(latent, slide)[local], latent[local])
     # face against face: strips carry no normal force, so closure alone is no reason (CONTACT.md 3.9)
     flat = (p.flags & kernels.FLAT) > 0

@@ -32,6 +32,7 @@ PATIENCE = 4  # proximal steps that fail before Gauss-Seidel is asked to help
 MARGIN = 0.001  # of the tolerance is what iterations aim at, so that blocks at rest need none in the steps that follow
 KEEP = 0.1  # up to this part of the tolerance impulses are kept: more would add up to motion, step by step
 STILL = 0.01  # the same after a step that stopped a motion: its impulses would start the opposite one
+ROUND_OFF = 1e-14  # of the velocities of bodies: no tolerance asks for more
 SWEEPS = 100  # of Gauss-Seidel when it helps
 
 
@@ -50,6 +51,12 @@ class Rows:
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.start, self.dof, self.J))
+
+    def onto(self, r: Array, n: int) -> Array:
+        """``J^T r`` (n,) for forces or impulses `r` (n_points, 3)."""
+        f = np.zeros(n)
+        cones.add_impulses(*self, r, f)
+        return f
 
     def times(self, v: Array, bias: Array | None = None) -> Array:
         """``J v`` (n, 3) [m/s], `bias` (n,) added to its normal part."""
@@ -81,6 +88,10 @@ class Problem:
         Added to the normal velocity [m/s]: gap over step, restitution.
     friction, cohesion, tension : (n,) arrays
         [-], [N s], [N s].
+    rho : (n,) array
+        Masses that points seem to have [kg].
+    speed, noise : float
+        Velocities [m/s] that errors are measured by, and below which nothing is resolved; the solver sets them.
     """
 
     rows: Rows
@@ -95,14 +106,14 @@ class Problem:
     cohesion: Array
     tension: Array
     rho: Array = field(init=False)
-    speed: float = field(init=False)
+    speed: float = field(default=1.0, init=False)
+    noise: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
         self.rho = np.zeros(len(self.bias))
         cones.effective_masses(*self.free_rows, self.mass, self.rho)
         # a point between bodies whose motion is given has no say
         self.rho[self.rho == 0.0] = self.rho.max(initial=0.0) or 1.0
-        self.speed = 0.0  # set by the solver, when bias and friction are
 
     def velocity(self, r: Array) -> Array:
         """Velocities (n_dofs,) under the impulses `r` (n, 3)."""
@@ -110,9 +121,7 @@ class Problem:
 
     def push(self, r: Array) -> Array:
         """``J^T r`` (n_dofs,) on what is free."""
-        f = np.zeros(len(self.free))
-        cones.add_impulses(*self.free_rows, r, f)
-        return f
+        return self.free_rows.onto(r, len(self.free))
 
     def relative(self, v: Array) -> Array:
         """Relative velocities (n, 3), bias included."""
@@ -130,6 +139,7 @@ class Problem:
         )
         if not speed > 0.0:
             return float(speed), 0  # not a number stays that
+        mean = max(mean, self.noise * float(self.rho.max()))
         return max(worst / mean if mean > 0.0 else 1.0, speed / self.speed), int(where)
 
 
@@ -201,7 +211,10 @@ class Solver:
         moving = self.iterations > 0
         self.p, self.iterations, self.sweeps, self.history = p, 0, 0, []
         given = np.linalg.norm(p.rows.times(p.free), axis=1).max(initial=0.0)
-        p.speed = max(float(given), -float(p.bias.min(initial=0.0))) or 1.0  # else there is nothing to do
+        start, dof, J = p.rows
+        carried = Rows(start, dof, np.abs(J)).times(np.abs(p.free)).max(initial=0.0)
+        p.noise = ROUND_OFF / self.tolerance * float(carried)
+        p.speed = max(float(given), -float(p.bias.min(initial=0.0)), p.noise) or 1.0  # else there is nothing to do
         v = p.velocity(r)
         residual, self.worst = p.residual(r, v)
         self.history.append(residual)

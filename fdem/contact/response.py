@@ -149,7 +149,9 @@ def _through_walls(c: Contacts, active: Any) -> float:
     for k, law in enumerate(c.laws):
         if law.closure is not None and c._law_start[k + 1] > c._law_start[k]:
             kn = np.where(p.law == k, 0.0, kn)
-    return float(energy.wall_energy(p.start, p.corners, c._partner, p.metric, c._depth, c._push, c._foot, kn, active))
+    return float(
+        energy.wall_energy(p.start, p.corners, c._partner, p.metric, c._depth, c._push, c._face_normal, kn, active)
+    )
 
 
 def slip_energies(c: Contacts) -> Array:

@@ -20,7 +20,7 @@ __all__ = ["SphereContacts"]
 
 Array = NDArray[np.float64]
 
-SKIN = 0.1  # of the radius: pairs are looked for that much further, and again when half of it is used up
+SKIN = 0.14  # of the radius: pairs are looked for that much further, and again when half of it is used up
 GROWN = 1.1  # growth of stiffness, in squared frequency, after which the step is found again
 UNSEEN = 0.1  # of the radius per step: far below, the stiffness that an impact will have is known from its speed
 FAST = 0.25  # of the radius: motion in a step from which on a sphere could pass something
@@ -88,7 +88,7 @@ class SphereContacts:
         self.n_detections = 0
         # largest stiffness over reduced mass of a contact: in the last forces, and when the step was found [1/s^2]
         self.stiffest, self._known = 0.0, 0.0
-        self._trial = False
+        self._trial, self._packed = False, False  # packed: `update` has seen to `place` and `motion`
         self._dt = 0.0
         self.order = np.zeros(0, np.int64)
         self.start, self.partner = np.zeros(1, np.uint32), np.zeros(0, np.uint32)
@@ -206,6 +206,8 @@ class SphereContacts:
             np.concatenate([second, n + np.repeat(faces.block, np.diff(faces.start))]),
         )
         self.at = self.places()
+        self._gp, self._spin = p.gp[self.order].astype(np.uint32), p.spin[self.order]
+        self._before = np.column_stack([self.x_ref[self.order], self.allowed[self.order] ** 2])
         self.kind, faces.kind = kinds[: len(first)].copy(), kinds[len(first) :].copy()
         self._memory, self._held = np.zeros_like(self.memory), np.zeros_like(self.held)
         # couples need the normal forces
@@ -216,7 +218,7 @@ class SphereContacts:
         self.out, self._face_out, self._couple_out = np.zeros(5), np.zeros(5), np.zeros(1)
         if self.facets is not None:
             faces.prepare(self.facets, x)
-        self._trial = False
+        self._trial = self._packed = False
 
     def update(self, x: Array, x_old: Array, v: Array, dt: float) -> bool:
         """Follow a step of `dt` [s] with the velocities `v`, and look for pairs again if due.
@@ -229,12 +231,13 @@ class SphereContacts:
             A sphere went by more than half its radius in a step in which it met something.
         """
         p = self.particles
-        due, fast = kernels.travelled(
-            p.gp, p.spin, x, x_old, self.x_ref, self.allowed, p.radius, v, dt, self.turn
+        due, fast = kernels.follow(
+            self.order, self._gp, self._spin, x, x_old, self._before, v, dt, self.turn, self.place, self.motion
         )  # fmt: skip
         if not due and self.facets is not None:
             due = kernels.strayed(self.facets.moving_gp, x, self.face_ref, self._pad)
         if not due:
+            self._packed = True
             return self.stiffest > self._known
         moved = np.linalg.norm(x[p.gp] - x_old[p.gp], axis=1) if fast > FAST else None
         self.detect(x, moved)
@@ -244,7 +247,7 @@ class SphereContacts:
 
     def _refuse_passing(self, x: Array, x_old: Array) -> None:
         p, faces = self.particles, self.faces
-        kernels.pack(self.order, p.gp, x, x_old, self.turn, self.place, self.motion)
+        kernels.pack(self.order, self._gp, x, x_old, self.turn, self.place, self.motion)
         pair = kernels.passed(self.start, self.partner, self.place, self.motion)
         group = -1
         if self.facets is not None:
@@ -284,8 +287,10 @@ class SphereContacts:
         OverlapError
             Two spheres overlap by more than half the smaller radius, or a sphere a face by half of it; names them.
         """
-        p, faces, self._dt = self.particles, self.faces, dt
-        kernels.pack(self.order, p.gp, x, x_old, self.turn, self.place, self.motion)
+        faces, self._dt = self.faces, dt
+        if not self._packed:
+            kernels.pack(self.order, self._gp, x, x_old, self.turn, self.place, self.motion)
+        self._packed = False
         self._pair_forces(self._record)
         self._face_out[:], self._couple_out[0] = 0.0, 0.0
         if len(faces.at):
@@ -297,7 +302,7 @@ class SphereContacts:
             faces.spread(f_gp)
         if self._couples:
             self._add_couples(x, f_gp)
-        kernels.unpack(self.at, p.gp, p.spin, self.force, f_gp, f)
+        kernels.unpack(self._gp, self._spin, self.force, f_gp, f)
         self.stiffest = max(float(self.out[4]), float(self._face_out[4]))
         self._trial = True
         if self.out[3] > 0.0 or self._face_out[3] > 0.0:

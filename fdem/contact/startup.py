@@ -24,7 +24,8 @@ PARALLEL = float(np.cos(np.radians(15.0)))
 TOUCH = 1e-6  # of the size: gap below which a contact exists at compile when the gap tolerance is off
 # what the last `forces` left behind: energy() and table() read it
 _LAST = (
-    "active", "w", "gap", "area", "align", "normal", "push", "foot", "depth", "facing", "traction", "state", "bound",
+    "active", "w", "gap", "area", "align", "normal", "push", "foot", "depth", "face_normal", "facing", "traction",
+    "state", "bound",
 )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.contact.polygons import convex_faces, largest_triangle, newell
+from fdem.contact.polygons import convex_faces, largest_triangle, newell, true_corners, weights
 from fdem.errors import MeshError
 from fdem.kernels import geometry as kernels
 
@@ -54,6 +54,8 @@ class BlockSurface:
         Per face a gridpoint off its plane (fourth vertex of the zone). None: chosen.
     whole : bool, optional
         The block has few unknowns: dashpots move all its mass, not that of gridpoints (affine blocks always do).
+    still : bool, optional
+        The block never moves: no step looks whether it has.
     """
 
     loops: Any
@@ -65,6 +67,7 @@ class BlockSurface:
     mass: float
     behind: Any = None
     whole: bool = False
+    still: bool = False
 
 
 @dataclass
@@ -95,6 +98,8 @@ class Surfaces:
         [m^3], mass [kg].
     surface_gp, surface_start : int32
         Gridpoints on the surface of every block.
+    movers : int32
+        Blocks that may move.
     """
 
     face_start: Ints
@@ -120,6 +125,7 @@ class Surfaces:
     mass: Array
     surface_gp: Ints
     surface_start: Ints
+    movers: Ints
 
     @property
     def n_blocks(self) -> int:
@@ -186,6 +192,7 @@ class Surfaces:
             mass=np.array([np.inf if b.fixed else b.mass for b in blocks], dtype=float),
             surface_gp=cat(surface_gp),
             surface_start=np.r_[0, np.cumsum([len(g) for g in surface_gp])].astype(np.int32),
+            movers=np.flatnonzero([not b.still for b in blocks]).astype(np.int32),
         )
         s._measure(x)
         return s
@@ -318,80 +325,52 @@ def edge_neighbours(a: Any, b: Any, face: Any) -> Ints:
 
 def _affine_faces(block: BlockSurface, x: Array, index: int) -> _Faces:
     """Merged, convex, planar faces of a block that moves affinely."""
-    raw = [np.asarray(loop, dtype=np.int64) for loop in block.loops]
     lo, hi = block.gp
     origin = x[lo:hi].mean(axis=0)
     size = float(np.abs(x[lo:hi] - origin).max())
-    local = (x - origin) / size if lo == 0 and hi == len(x) else _local(x, lo, hi, origin, size)
-    loops, tags, source = convex_faces(raw, [int(t) for t in block.tags], local)
+    local = (x[lo:hi] - origin) / size
+    points = local.tolist()
+    raw = [(np.asarray(loop) - lo).tolist() for loop in block.loops]
+    loops, tags, source = convex_faces(raw, [int(t) for t in block.tags], points)
     if not loops:
         raise MeshError(f"block {index}: every face of its surface is degenerate")
-    counts = np.array([len(loop) for loop in loops])
-    flat = np.concatenate(loops)
-    following = np.concatenate([np.roll(loop, -1) for loop in loops])
-    owner = np.repeat(np.arange(len(loops)), counts)
-    neighbour = edge_neighbours(flat, following, owner)
-    normals = np.array([newell(local[loop]) for loop in loops])
-    corners, corner_w, kept_neighbour, ref, has_behind = [0], [], [], [], []
-    start = np.r_[0, np.cumsum(counts)]
-    for i, loop in enumerate(loops):
-        near = neighbour[start[i] : start[i + 1]]
-        keep = _true_corners(local[loop], near, normals)
-        loop, near = loop[keep], near[keep]
-        p = local[loop]
+    start = np.r_[0, np.cumsum([len(loop) for loop in loops])]
+    flat = np.array([i for loop in loops for i in loop])
+    following = np.array([i for loop in loops for i in (*loop[1:], loop[0])])
+    near = edge_neighbours(flat, following, np.repeat(np.arange(len(loops)), np.diff(start))).tolist()
+    normals = [newell([points[i] for i in loop]) for loop in loops]
+    corners, corner_w, neighbour, ref = [0], [], [], []
+    for i, whole in enumerate(loops):
+        across = near[start[i] : start[i + 1]]
+        keep = true_corners([points[j] for j in whole], across, normals)
+        loop = [whole[k] for k in keep]
+        p = [points[j] for j in loop]
         tri = largest_triangle(p)
-        w = _weights(p, p[tri])
-        depth = (p[tri[0]] - local[lo:hi]) @ normals[i]
-        far = int(np.argmax(np.abs(depth)))
         corners.append(corners[-1] + len(loop))
-        corner_w.append(w)
-        kept_neighbour.append(near)
-        ref.append([*loop[tri], lo + far])
-        has_behind.append(abs(depth[far]) > 1e-9)
+        corner_w += weights(p, tri)
+        neighbour += [across[k] for k in keep]
+        ref.append([loop[k] for k in tri])
+    behind, depth = _behind(local, np.array(normals), local[[three[0] for three in ref]])
     return _Faces(
-        ref=np.array(ref, dtype=np.int32),
-        has_behind=np.array(has_behind, dtype=np.uint8),
+        ref=np.column_stack([ref, behind]).astype(np.int32) + np.int32(lo),
+        has_behind=(depth > 1e-9).astype(np.uint8),
         tag=np.array(tags, dtype=np.int32),
         source=np.array(source, dtype=np.int32),
         corner_start=np.array(corners, dtype=np.int32),
-        corner_w=np.concatenate(corner_w),
-        neighbour=np.concatenate(kept_neighbour).astype(np.int32),
-        vertices=np.unique(flat).astype(np.int32),
+        corner_w=np.array(corner_w),
+        neighbour=np.array(neighbour, dtype=np.int32),
+        vertices=np.unique(flat).astype(np.int32) + np.int32(lo),
     )
 
 
-class _local:
-    """Coordinates of one block in units of its size, indexed by global gridpoint (no copy of the model)."""
-
-    def __init__(self, x: Array, lo: int, hi: int, origin: Array, size: float) -> None:
-        self.lo = lo
-        self.x = (x[lo:hi] - origin) / size
-
-    def __getitem__(self, ids: Any) -> Array:
-        if isinstance(ids, slice):
-            return self.x[ids.start - self.lo : ids.stop - self.lo]
-        out: Array = self.x[np.asarray(ids) - self.lo]
-        return out
-
-
-def _true_corners(p: Array, near: Any, normals: Array) -> Any:
-    """Drop corners in the middle of a straight edge with one plane on the other side."""
-    before, after = p - np.roll(p, 1, axis=0), np.roll(p, -1, axis=0) - p
-    before /= np.linalg.norm(before, axis=1)[:, None]
-    after /= np.linalg.norm(after, axis=1)[:, None]
-    straight = np.linalg.norm(np.cross(before, after), axis=1) < 1e-9
-    last = np.roll(near, 1)
-    same = (last == near) | (
-        (near >= 0) & (last >= 0) & (np.einsum("ij,ij->i", normals[last], normals[near]) > 1.0 - 1e-12)
-    )
-    return ~(straight & same)
-
-
-def _weights(p: Array, tri: Array) -> Array:
-    """Weights of the second and third vertex of `tri` for the points `p` in its plane."""
-    e1, e2 = tri[1] - tri[0], tri[2] - tri[0]
-    a, b, c = e1 @ e1, e1 @ e2, e2 @ e2
-    d = p - tri[0]
-    s, t = d @ e1, d @ e2
-    w: Array = np.column_stack([c * s - b * t, a * t - b * s]) / (a * c - b * b)
-    return w
+def _behind(points: Array, normals: Array, base: Array) -> tuple[Any, Array]:
+    """Of every plane (normal and a point of it) the point farthest off, the first of equal ones, and its distance."""
+    far, depth = np.zeros(len(normals), np.int64), np.zeros(len(normals))
+    some = max(1, 10**6 // len(points))  # planes at a time: the table of distances stays small
+    for at in range(0, len(normals), some):
+        here = slice(at, at + some)
+        heights = np.einsum("fk,fk->f", base[here], normals[here])
+        away = np.abs(points @ normals[here].T - heights)
+        depth[here] = away.max(axis=0)
+        far[here] = np.argmax(away >= depth[here] * (1.0 - 1e-9), axis=0)
+    return far, depth

@@ -13,12 +13,13 @@ from fdem.kernels import broad, upkeep
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
 
-__all__ = ["closing", "drifted_pairs", "refuse_leaps", "too_deep", "worn_pairs"]
+__all__ = ["closing", "drifted_pairs", "least_volumes", "refuse_leaps", "too_deep", "worn_pairs"]
 
 Array = NDArray[np.float64]
 
 
 EARLY = 0.5  # of what a cut allows
+BESIDE = 0.1  # of the largest contact force on a block: what is less needs no finer cuts than this
 
 
 def closing(c: Contacts, x: Array, out: Any) -> bool:
@@ -59,6 +60,24 @@ def drifted_pairs(c: Contacts, x: Array) -> Any:
     return far > 0
 
 
+def least_volumes(c: Contacts) -> Array:
+    """Overlap (n_pairs,) [m3] of every pair that matters beside the other contacts of its blocks.
+
+    Blocks that only touch along an edge would be cut anew in every step for a force that is lost in the others.
+    """
+    p, force, stiffest = c.patches, np.zeros(len(c.pairs)), np.zeros(len(c.pairs))
+    if not c._filled:
+        return force
+    volume = (c._area * np.maximum(-c._gap, 0.0)).reshape(-1, 3).sum(axis=1)
+    np.add.at(force, p.pair, c._kn * volume)
+    np.maximum.at(stiffest, p.pair, c._kn)
+    largest = np.zeros(c.surfaces.n_blocks)
+    np.maximum.at(largest, c.slave, force)
+    np.maximum.at(largest, c.master, force)
+    beside = BESIDE * np.minimum(largest[c.slave], largest[c.master])
+    return np.divide(beside, stiffest, out=np.zeros_like(beside), where=stiffest > 0.0)
+
+
 def refuse_leaps(c: Contacts, x_old: Array, x: Array) -> None:
     """Refuse a step from `x_old` to `x` in which one block may have jumped through another.
 
@@ -70,7 +89,7 @@ def refuse_leaps(c: Contacts, x_old: Array, x: Array) -> None:
     """
     s = c.surfaces
     motion = np.zeros(s.n_blocks)
-    upkeep.block_motion(s.surface_gp, s.surface_start, x, x_old, motion)
+    upkeep.block_motion(s.movers, s.surface_gp, s.surface_start, x, x_old, motion)
     if not 2.0 * motion.max(initial=0.0) > s.room.min(initial=np.inf):
         return
     first = s.surface_start[:-1]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fdem.errors import FdemWarning, SceneError
+from fdem.integrate.sleep import Sleep, work_of
 
 __all__ = ["Adaptive", "Explicit", "Local", "Rayleigh", "Relaxation"]
 
@@ -209,6 +210,8 @@ class Explicit:
         Share of the estimated limit used when `dt` is None.
     damping : Local or Rayleigh, optional
         Numerical damping.
+    sleep : Sleep, optional
+        Let blocks at rest sleep.
 
     Raises
     ------
@@ -225,6 +228,7 @@ class Explicit:
     dt: float | None = None
     safety: float = 0.8
     damping: Local | Rayleigh | Adaptive | None = None
+    sleep: Sleep | None = None
     scaled: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -236,11 +240,14 @@ class Explicit:
             raise SceneError(f"{owner}: damping = {self.damping!r}, allowed are Local, Rayleigh and Adaptive")
         if isinstance(self.damping, Adaptive) and not isinstance(self, Relaxation):
             raise SceneError(f"{owner}: damping = {self.damping!r} is for Relaxation")
+        if self.sleep is not None and not isinstance(self.sleep, Sleep):
+            raise SceneError(f"{owner}: sleep = {self.sleep!r}, allowed is a Sleep")
         self._damping: Any = self.damping or _Undamped()
 
     def start(self, system: Any) -> None:
         """Prepare the damping and find the step."""
         self._damping.start(system)
+        self._forces, self._advance = work_of(system, self.sleep)
         self._shorten = _safe if system.stiffening and self.dt is None and not self.scaled else _unchanged
         self.refresh(system)
 
@@ -278,14 +285,14 @@ class Explicit:
 
     def step(self, system: Any, dt: float) -> None:
         """One step of `dt` [s], or shorter where joints stiffen as they close."""
-        system.forces()
+        self._forces()
         dt = self._shorten(system, dt)
         h = system.lag + 0.5 * dt
         self._damping.kick(system, h)
         self.restrain(system, dt)
         system.commit()
         system.prescribe(dt)
-        system.advance(dt)
+        self._advance(dt)
         system.lag = 0.5 * dt
         if system.stale:
             system.stale = False
@@ -313,6 +320,7 @@ class Relaxation(Explicit):
     dt: float | None = field(default=None, init=False)
     safety: float = field(default=0.8, init=False)
     damping: Local | Rayleigh | Adaptive | None = field(default_factory=Local)
+    sleep: Sleep | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -21,6 +21,7 @@ NEAR = 1e-3  # of the smallest block's size: longest motion of the guess, so tha
 FAR = 0.25  # of that size: longest motion in a Newton step
 STALLED = 0.3  # of the best residual so far: a residual that falls less than that has come to round-off
 RECUTS = 4  # times the contacts may be found anew within a step
+GAIN = 0.1  # of the residual: while an iteration leaves less, the matrix of the step is good enough
 CLIMB = 2.0  # growth of the residual that a Newton step may bring before it is shortened
 SHORTENINGS = 3  # of a Newton step, by half
 SMALLEST = 0.125  # share of Newton's steps taken where sets of contacts go round in circles
@@ -197,6 +198,14 @@ class _Implicit:
         r -= (1.0 - rule.alpha_m) * (trial.assembler.mass() @ a) + rule.alpha_m * start.inertia
         return trial.released(r), a
 
+    def _change(self, r: Array, cm: float, h: float, gain: float, again: Any) -> tuple[Array, Any]:
+        """Correction for the residual `r`, and what solves with its matrix once more; by `again` if there is one."""
+        if again is not None:
+            return again(r), again
+        rule, assembler = self.rule, self.trial.assembler
+        A = assembler.effective(cm, rule.gamma / (rule.beta * h), h)
+        return self.linear.solve(A, r, assembler, gain), self.linear.again
+
     def _iterate(self, start: _Start) -> bool:
         """Newton's method on the increment of the trial."""
         rule, trial, h = self.rule, self.trial, start.h
@@ -204,6 +213,7 @@ class _Implicit:
         recuts, share, floor, last = 0, 1.0, 0.0, b""
         seen: dict[bytes, float] = {}  # best residual with every set of open, closed and slipping points
         self.history = []
+        again: Any = None  # solves with the last matrix of this step, while that gains enough
         r, a = self._residual(start)
         for iteration in range(self.max_iterations + 1):
             ratio = trial.residual_ratio(r, a)
@@ -223,9 +233,10 @@ class _Implicit:
             seen[mark], last = min(ratio, seen.get(mark, math.inf)), mark
             if iteration == self.max_iterations or not math.isfinite(ratio):
                 break
+            if iteration and not ratio < GAIN * self.history[-2]:
+                again = None
             try:
-                A = trial.assembler.effective(cm, rule.gamma / (rule.beta * h), h)
-                change = self.linear.solve(A, r / (1.0 - rule.alpha_f), trial.assembler, self.tolerance / ratio)
+                change, again = self._change(r / (1.0 - rule.alpha_f), cm, h, self.tolerance / ratio, again)
             except ConvergenceError:
                 break
             floor = trial.round_off(r, ratio)

@@ -64,7 +64,6 @@ class Impulses:
         for batch, turned in zip(self._turners, self.turned, strict=True):
             turned += batch.turn(state.q, state.v, h)
         state.t += h
-        system.dt = h
         system.current = False
         if system.contacts is not None:
             system.contacts.update(state.x)
@@ -115,8 +114,7 @@ class Impulses:
 
     def problem(self, points: Any, assembler: Any, mobility: Any, free: Array, h: float) -> Any:
         """Contact problem of `points` over a step of `h` [s]; gaps and restitution are left to the caller."""
-        mobile = ~self.model.fixed[self.model.gp_block]
-        rows = hard.point_rows(points, assembler.placement(), mobile)
+        rows = hard.point_rows(points, assembler.placement())
         free_rows = mobility.free_rows(rows)
         friction, cohesion, tension, _ = points.law.T.copy()
         share = points.area * h
@@ -158,9 +156,14 @@ class Impulses:
         work: Array = (system.particles if system.contacts is None else system.contacts).work
         return work
 
-    def keep(self, points: Any, impulses: Array, before: Array, problem: Any, h: float) -> None:
-        """Keep the mean forces of the step for the tables, and count what contact dissipated."""
-        system = self.system
+    def keep(self, points: Any, impulses: Array, before: Array, problem: Any, f: Array, h: float) -> None:
+        """Keep the mean forces of the step for the tables and the work of what is prescribed; count dissipation.
+
+        `f` (n_dofs,) are the forces besides contact.
+        """
+        system, mean = self.system, f if problem is None else f + problem.rows.onto(impulses / h, len(f))
+        system.dt = h
+        system.keep_motion(0.5 * h * (before + self.state.v), mean)
         system.mean_contact[:], system.mean_moment[:] = 0.0, 0.0
         system.hard_table = partial(hard.table, hard.NONE, np.zeros((0, 3)), np.zeros(0))
         if problem is None:

@@ -43,6 +43,7 @@ class LinearSolver:
     tolerance: float = field(default=1e-10, init=False)  # relative residual of iterative methods
     used: str = field(default="none yet", init=False)
     iterations: int = field(default=0, init=False)
+    again: Any = field(default=None, init=False, repr=False)  # factor of the last matrix itself, if one was made
     _kept: Any = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -71,6 +72,7 @@ class LinearSolver:
         ConvergenceError
             A is singular.
         """
+        self.again = None
         n, groups, self.tolerance = len(b), assembler.groups, min(max(SPARE * gain, FINEST), COARSEST)
         if not b.any():
             return np.zeros(n)
@@ -108,7 +110,7 @@ class LinearSolver:
             raise ConvergenceError(
                 f"the stiffness is singular: something can move without resistance ({error})"
             ) from None
-        self._kept = A.shape, solve
+        self._kept, self.again = (A.shape, solve), solve
         self.used, self.iterations = NAMES[self.method], 1
         return np.asarray(solve(b))
 

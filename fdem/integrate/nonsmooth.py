@@ -181,7 +181,7 @@ class ContactDynamics:
             if (deep < -DEEP * points.size).any():
                 hard.push_out(problem, deep, points.size, f)
         self._points, self._impulses = points, impulses
-        hard.keep(points, impulses, before, problem, h)
+        hard.keep(points, impulses, before, problem, f, h)
         hard.drift(theta * h)
         state.step += 1
 
@@ -211,7 +211,9 @@ class ContactDynamics:
                 f"step {system.state.step}: impulses are wrong by {self.residual:.2e} of the mean after "
                 f"{self.iterations} iterations and {self.sweeps} sweeps, worst between "
                 f"{self._hard.names(points, self.solver.worst)}; residuals: "
-                f"{', '.join(f'{e:.1e}' for e in self.solver.history[-8:])}; a shorter step or a larger tolerance helps"
+                f"{', '.join(f'{e:.1e}' for e in self.solver.history[-8:])}; "
+                "a shorter step or a larger tolerance helps",
+                self.solver.history,
             )
         system.state.v[:], self._given = v, problem.speed
         return impulses

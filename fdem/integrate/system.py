@@ -77,6 +77,7 @@ class System(Pace):
         self.stale = True
         self._load_old = np.zeros_like(state.f_gp) if loads and energy else None
         self._reaction_old = np.zeros_like(state.v) if constraints.moving and energy else None
+        self._moving = max((b.gridpoints.stop for b in model.batches), default=0)  # those of fixed blocks come last
         self.first_pulled = max((b.gridpoints.stop for b in model.batches if b.in_place), default=0)
         self.stiffening = contacts is not None and contacts.curved  # joints whose stiffness grows as they close
         self._torques = [load for load in loads if isinstance(load, Torque)]
@@ -190,14 +191,19 @@ class System(Pace):
         if self.particles is not None:
             self.particles.commit()
         if self._keeps_old:
-            self.state.x_old[:] = self.state.x
+            self.state.x_old[: self._moving] = self.state.x[: self._moving]
 
-    def keep_motion(self, d: np.ndarray) -> None:
-        """Take note of the increment `d` (n_dofs,) of an implicit step, for the work of moments and reactions."""
+    def keep_motion(self, d: np.ndarray, mean: np.ndarray | None = None) -> None:
+        """Take note of the increment `d` (n_dofs,) of a step, for the work of moments and reactions.
+
+        `mean` are the forces over the step (n_dofs,) [N, N m] where they are known; else those at its ends count.
+        """
         if self._spun is not None:
             self._spun[:] = d
         if self._reaction_old is not None:
             self.given = self.constraints.given(d)
+            if mean is not None:
+                self._reaction_old[:] = mean
 
     def harden(self) -> None:
         """Leave the forces of penalty contacts out; mean forces over the last step take their place."""
@@ -210,6 +216,8 @@ class System(Pace):
         self.work += self.pending_work()
         if self._load_old is not None:
             self._load_old[:] = self.f_load
+        if self._turning_old is not None:
+            self._turning_old[:] = self._turning
         self.state.x_old[:] = self.state.x
 
     def pending_work(self) -> float:

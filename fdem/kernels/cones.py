@@ -34,7 +34,7 @@ def _add_entry(j, a0, a1, a2, first, at, most, dof, J):
 
 
 @kernel
-def point_rows(gp, w, frame, spin, arm, pstart, pdof, pvalue, mobile, most, start, dof, J):
+def point_rows(gp, w, frame, spin, arm, pstart, pdof, pvalue, most, start, dof, J):
     """Rows of the relative velocity of contact points over the unknowns.
 
     | argument | shape | unit | |
@@ -43,7 +43,6 @@ def point_rows(gp, w, frame, spin, arm, pstart, pdof, pvalue, mobile, most, star
     | frame | (n, 3, 3) | - | rows: normal, two tangents |
     | spin, arm | (n, 2), (n, 2, 3) | -, m | first rotational velocity (-1: none), way from gridpoint to contact |
     | pstart, pdof, pvalue | CSR | -, -, -, m | ``P`` (3 n_gp, n_dofs) of ``xdot = P v`` |
-    | mobile | (n_gp,) | - | gridpoints of blocks that can move |
     | most | int | - | room in the arrays to fill: entries |
     | start, dof, J | (n + 1,), (most,), (most, 3) | -, -, m | out |
 
@@ -57,7 +56,7 @@ def point_rows(gp, w, frame, spin, arm, pstart, pdof, pvalue, mobile, most, star
         start[i] = at
         for k in range(gp.shape[1]):
             g = gp[i, k]
-            if w[i, k] == 0.0 or not mobile[g]:
+            if w[i, k] == 0.0:
                 continue
             for d in range(3):
                 f0, f1, f2 = frame[i, 0, d], frame[i, 1, d], frame[i, 2, d]

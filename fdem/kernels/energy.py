@@ -54,7 +54,7 @@ def partners(order, pair, face_s, flags, start, corners, out):
 
 
 @kernel
-def _wall(i, j, lo, hi, corners, depth, foot, w):
+def _wall(i, j, lo, hi, corners, depth, normal, w):
     """Normal `w` (3) of the wall from the cell of patch i to that of patch j; -n_f.w, 0 if there is no wall."""
     w1, w2 = 0.0, 0.0
     for k in range(lo, hi):
@@ -64,7 +64,7 @@ def _wall(i, j, lo, hi, corners, depth, foot, w):
     sign = 1.0 if above > 0.0 else -1.0  # at a re-entrant edge the deeper of the two counts
     square = 0.0
     for d in range(3):
-        w[d] = sign * (foot[j, d] - foot[i, d])
+        w[d] = sign * (normal[j, d] - normal[i, d])
         square += w[d] * w[d]
     length = math.sqrt(square)
     if length < 1e-7:
@@ -80,7 +80,7 @@ def _dot(a, b):
 
 
 @kernel
-def _outwards(n, w, s, foot, i):
+def _outwards(n, w, s, normal, i):
     """``t.nu / |t|^2`` in the wall `w` of patch i for a border whose outward normal is `n`, and -n_f.w = s."""
     along = _dot(n, w)
     size = math.sqrt(max(_dot(n, n) - along * along, 0.0))
@@ -90,7 +90,7 @@ def _outwards(n, w, s, foot, i):
     # t = -n_f - s w, and nu = (n - along w) / size
     total = -s * along
     for d in range(3):
-        total -= foot[i, d] * n[d]
+        total -= normal[i, d] * n[d]
     return total / (size * square)
 
 
@@ -107,7 +107,7 @@ def _along_edge(d1, d2, length):
 
 
 @kernel
-def wall_energy(start, corners, partner, metric, depth, push, foot, kn, active):
+def wall_energy(start, corners, partner, metric, depth, push, normal, kn, active):
     """Elastic energy [J] that passes through the walls of the cells (see the top of the file).
 
     | argument | shape | unit | |
@@ -116,7 +116,7 @@ def wall_energy(start, corners, partner, metric, depth, push, foot, kn, active):
     | partner | (n_corners,) | - | from `partners` |
     | metric | (n, 3) | m2 | g11, g12, g22 of the slave's reference triangle |
     | depth | (n, 3) | m | at the slave gridpoints |
-    | push, foot | (n, 3), (n, 5) | - | normals of slave and master face |
+    | push, normal | (n, 3) | - | normals of slave and master face |
     | kn, active | (n,) | Pa/m, - | |
     """
     total = 0.0
@@ -130,7 +130,7 @@ def wall_energy(start, corners, partner, metric, depth, push, foot, kn, active):
             j = partner[k]
             if j < 0:
                 continue
-            s = _wall(i, j, lo, hi, corners, depth, foot, w)
+            s = _wall(i, j, lo, hi, corners, depth, normal, w)
             if s == 0.0:
                 continue
             after = k + 1 if k + 1 < hi else lo
@@ -140,19 +140,19 @@ def wall_energy(start, corners, partner, metric, depth, push, foot, kn, active):
             length = math.sqrt(metric[i, 0] * e1 * e1 + 2.0 * metric[i, 1] * e1 * e2 + metric[i, 2] * e2 * e2)
             da = depth[i, 0] * (1.0 - a1 - a2) + depth[i, 1] * a1 + depth[i, 2] * a2
             db = depth[i, 0] * (1.0 - b1 - b2) + depth[i, 1] * b1 + depth[i, 2] * b2
-            flux += s * _outwards(push[i], w, s, foot, i) * _along_edge(da, db, length)
+            flux += s * _outwards(push[i], w, s, normal, i) * _along_edge(da, db, length)
             for end in range(2):
                 other, d = (partner[before], da) if end == 0 else (partner[after], db)
-                if other < 0 or other == j or d <= 0.0 or _wall(i, other, lo, hi, corners, depth, foot, v) == 0.0:
+                if other < 0 or other == j or d <= 0.0 or _wall(i, other, lo, hi, corners, depth, normal, v) == 0.0:
                     continue
                 for c in range(3):
                     c1, c2 = (c + 1) % 3, (c + 2) % 3
                     r[c] = w[c1] * v[c2] - w[c2] * v[c1]
                 size = math.sqrt(_dot(r, r))
-                fall = -(foot[i, 0] * r[0] + foot[i, 1] * r[1] + foot[i, 2] * r[2])
+                fall = -(normal[i, 0] * r[0] + normal[i, 1] * r[1] + normal[i, 2] * r[2])
                 if abs(fall) <= 1e-9 * size or size <= 1e-9:
                     continue
                 leaves = 1.0 if _dot(push[i], r) * fall > 0.0 else -1.0
-                flux += s * _outwards(v, w, s, foot, i) * leaves * d**4 * size / (4.0 * abs(fall))
+                flux += s * _outwards(v, w, s, normal, i) * leaves * d**4 * size / (4.0 * abs(fall))
         total += kn[i] * flux / 6.0
     return total

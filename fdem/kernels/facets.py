@@ -45,6 +45,43 @@ def place_faces(ref, corner_start, corner_w, x, corner_x, normal):
 
 
 @kernel
+def frame_faces(ref, corner_start, corner_x, normal, x, side, across):
+    """Outward directions (n_corners, 3) of the edges that start at corners, and what `_inside` needs, of placed faces.
+
+    `across` (n, 6): gradients of the barycentric weights of the second and third reference gridpoint [1/m].
+    """
+    for f in range(len(ref)):
+        nx, ny, nz = normal[f, 0], normal[f, 1], normal[f, 2]
+        lo, hi = corner_start[f], corner_start[f + 1]
+        for k in range(lo, hi):
+            j = k + 1 if k + 1 < hi else lo
+            ax, ay, az = corner_x[k, 0], corner_x[k, 1], corner_x[k, 2]
+            tx, ty, tz = corner_x[j, 0] - ax, corner_x[j, 1] - ay, corner_x[j, 2] - az
+            side[k, 0], side[k, 1], side[k, 2] = ty * nz - tz * ny, tz * nx - tx * nz, tx * ny - ty * nx
+        a, b, c = ref[f, 0], ref[f, 1], ref[f, 2]
+        uu = uv = vv = 0.0
+        for d in range(3):
+            u, v = x[b, d] - x[a, d], x[c, d] - x[a, d]
+            uu += u * u
+            uv += u * v
+            vv += v * v
+        det = uu * vv - uv * uv
+        for d in range(3):
+            u, v = x[b, d] - x[a, d], x[c, d] - x[a, d]
+            across[f, d], across[f, 3 + d] = (vv * u - uv * v) / det, (uu * v - uv * u) / det
+
+
+@kernel
+def _inside(px, py, pz, lo, hi, corner_x, side):
+    """Whether a point lies over a face."""
+    for k in range(lo, hi):
+        rx, ry, rz = px - corner_x[k, 0], py - corner_x[k, 1], pz - corner_x[k, 2]
+        if rx * side[k, 0] + ry * side[k, 1] + rz * side[k, 2] > 0.0:
+            return False
+    return True
+
+
+@kernel
 def _nearest(lo, hi, corner_x, nx, ny, nz, px, py, pz, height, out):
     """Point of a face nearest to p, which stands `height` over its plane: written to `out`; squared distance [m2]."""
     qx, qy, qz = px - height * nx, py - height * ny, pz - height * nz
@@ -147,21 +184,15 @@ def _accept(m, px, py, pz, r, face, corner_start, corner_x, normal, found, point
 
 
 @kernel
-def _weights(f, ref, x, point, w):
+def _weights(f, ref, x, across, point, w):
     """Barycentric weights of a point in the plane of a face in its three reference gridpoints."""
-    a, b, c = ref[f, 0], ref[f, 1], ref[f, 2]
-    uu = uv = vv = ru = rv = 0.0
+    a = ref[f, 0]
+    second = third = 0.0
     for d in range(3):
-        u, v, s = x[b, d] - x[a, d], x[c, d] - x[a, d], point[d] - x[a, d]
-        uu += u * u
-        uv += u * v
-        vv += v * v
-        ru += s * u
-        rv += s * v
-    det = uu * vv - uv * uv
-    w[1] = (vv * ru - uv * rv) / det
-    w[2] = (uu * rv - uv * ru) / det
-    w[0] = 1.0 - w[1] - w[2]
+        s = point[d] - x[a, d]
+        second += s * across[f, d]
+        third += s * across[f, 3 + d]
+    w[0], w[1], w[2] = 1.0 - second - third, second, third
 
 
 @kernel
@@ -190,8 +221,8 @@ def _rotation(f, ref, x, x_old, out):
 
 @kernel
 def touch(
-    at, start, face, face_kind, slot_start, place, motion, ref, moves, corner_start, corner_x, normal, x, x_old,
-    memory_old, active, geometry, kind, source, candidate, weight, out,
+    at, start, face, face_kind, slot_start, place, motion, ref, moves, corner_start, corner_x, normal, side, across, x,
+    x_old, memory_old, active, geometry, kind, source, candidate, weight, out,
 ):  # fmt: skip
     """Contacts of spheres with faces, and what they go on from.
 
@@ -201,7 +232,7 @@ def touch(
     face, face_kind    (m,)          face and row of `table` of each candidate
     slot_start         (n + 1,)      rows of a group's contacts
     place, motion                    packed spheres (kernels/spheres.py)
-    ref, corner_start, corner_x, normal  faces
+    ref, corner_start, corner_x, normal, side, across  faces
     moves              (n_faces,)    whether a face can move
     x, x_old           (n_gp, 3)     positions now and at the last commit [m]
     memory_old         (k, 9)        committed history of the rows: s [m], r, z, normal, k_t
@@ -219,10 +250,23 @@ def touch(
         px, py, pz, r = place[a, 0], place[a, 1], place[a, 2], place[a, 3]
         for k in range(first, last):
             active[k], source[k] = 0, -1
-        m = _candidates(
-            px, py, pz, r, start[g], start[g + 1], face, corner_start, corner_x, normal, spot, found, point, away
-        )  # fmt: skip
-        count = 0
+        q = start[g]
+        m = count = 0
+        if start[g + 1] == q + 1:
+            # mostly: one face, and the sphere over its inside
+            f = face[q]
+            k, nx, ny, nz = corner_start[f], normal[f, 0], normal[f, 1], normal[f, 2]
+            height = (px - corner_x[k, 0]) * nx + (py - corner_x[k, 1]) * ny + (pz - corner_x[k, 2]) * nz
+            if not (0.0 < height < r):
+                m = -1
+            elif _inside(px, py, pz, k, corner_start[f + 1], corner_x, side):
+                m, count, chosen[0], found[0], away[0] = -1, 1, 0, q, height * height
+                point[0, 0], point[0, 1], point[0, 2] = px - height * nx, py - height * ny, pz - height * nz
+                direction[0, 0], direction[0, 1], direction[0, 2] = -nx, -ny, -nz
+        if m == 0:
+            m = _candidates(
+                px, py, pz, r, q, start[g + 1], face, corner_start, corner_x, normal, spot, found, point, away
+            )  # fmt: skip
         if m > 0:
             count = _accept(
                 m, px, py, pz, r, face, corner_start, corner_x, normal, found, point, away, chosen, direction,
@@ -234,7 +278,7 @@ def touch(
             active[k], kind[k], candidate[k] = 1, face_kind[q], q
             nx, ny, nz = direction[j, 0], direction[j, 1], direction[j, 2]
             arm = math.sqrt(away[chosen[j]])
-            _weights(f, ref, x, point[chosen[j]], weight[k])
+            _weights(f, ref, x, across, point[chosen[j]], weight[k])
             ox, oy, oz = motion[a, 3], motion[a, 4], motion[a, 5]
             geometry[k, 0], geometry[k, 1], geometry[k, 2], geometry[k, 3] = nx, ny, nz, r - arm
             geometry[k, 4] = motion[a, 0] + arm * (oy * nz - oz * ny)

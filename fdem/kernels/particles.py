@@ -299,32 +299,40 @@ def carry_pairs(old_start, old_partner, old_memory, at_old, start, partner, memo
 
 
 @kernel
-def travelled(gp, spin, x, x_old, x_ref, allowed, radius, v, dt, turn):
-    """Add to the rotation since the last commit, and tell how far particles went.
+def follow(order, gp, spin, x, x_old, before, v, dt, turn, place, motion):
+    """Follow a step: rotations since the last commit, positions and motions in packed order as `pack` gives them.
 
-    ========  ====================  ==================================================
-    gp, spin  (n,)                  gridpoint, and first rotational velocity in `v` (-1: does not turn)
-    x, x_old  (n_gp, 3)             positions now, and at the last commit [m]
-    x_ref     (n, 3)                positions when pairs were last looked for [m]
-    allowed   (n,)                  motion after which they are looked for again [m]
-    radius    (n,)                  [m]
-    v         (n_dofs,)             velocities of the step just made
-    dt        float                 its length [s]
-    turn      (n, 3)                in, out: rotation since the last commit [rad]
-    ========  ====================  ==================================================
+    =============  ============  ==================================================
+    order          (n,)          particle at every packed place
+    gp, spin       (n,)          its gridpoint; its first rotational velocity in `v` (-1: does not turn)
+    x, x_old       (n_gp, 3)     positions now, and at the last commit [m]
+    before         (n, 4)        where pairs were last looked for, and the square of the motion after which they are due
+    v              (n_dofs,)     velocities of the step just made
+    dt             float         its length [s]
+    turn           (n, 3)        in, out: rotation since the last commit [rad], by particle
+    place, motion                out, as for `pack`
+    =============  ============  ==================================================
 
     Returns whether pairs are due, and the largest motion since the last commit over the radius.
     """
     due, fast = False, 0.0
-    for p in range(len(gp)):
-        g, s = gp[p], spin[p]
+    for i in range(len(order)):
+        p, g, s, r = order[i], gp[i], spin[i], place[i, 3]
+        px, py, pz = x[g, 0], x[g, 1], x[g, 2]
+        ux, uy, uz = px - x_old[g, 0], py - x_old[g, 1], pz - x_old[g, 2]
+        a, b, c = px - before[i, 0], py - before[i, 1], pz - before[i, 2]
         if s >= 0:
-            for d in range(3):
-                turn[p, d] += dt * v[s + d]
-        a, b, c = x[g, 0] - x_ref[p, 0], x[g, 1] - x_ref[p, 1], x[g, 2] - x_ref[p, 2]
-        due |= not a * a + b * b + c * c <= allowed[p] * allowed[p]
-        a, b, c = x[g, 0] - x_old[g, 0], x[g, 1] - x_old[g, 1], x[g, 2] - x_old[g, 2]
-        fast = max(fast, (a * a + b * b + c * c) / (radius[p] * radius[p]))
+            k = np.uint64(s)
+            turn[p, 0] += dt * v[k]
+            turn[p, 1] += dt * v[k + np.uint64(1)]
+            turn[p, 2] += dt * v[k + np.uint64(2)]
+        place[i, 0], place[i, 1], place[i, 2] = px, py, pz
+        motion[i, 0], motion[i, 1], motion[i, 2] = ux, uy, uz
+        motion[i, 3], motion[i, 4], motion[i, 5] = turn[p, 0], turn[p, 1], turn[p, 2]
+        due |= not a * a + b * b + c * c <= before[i, 3]
+        square = ux * ux + uy * uy + uz * uz
+        if square > fast * (r * r):
+            fast = square / (r * r)
     return due, math.sqrt(fast)
 
 
@@ -345,7 +353,7 @@ def pack(order, gp, x, x_old, turn, place, motion):
 
     ========  ==========  ==================================================
     order     (n,)        particle at every packed place
-    gp        (n,)        gridpoint of each particle
+    gp        (n,)        its gridpoint
     x, x_old  (n_gp, 3)   positions now and at the last commit [m]
     turn      (n, 3)      rotation since the last commit [rad], by particle
     place     (n, 4)      out: position [m]; column 3, the radius, is left
@@ -353,8 +361,7 @@ def pack(order, gp, x, x_old, turn, place, motion):
     ========  ==========  ==================================================
     """
     for i in range(len(order)):
-        p = order[i]
-        g = gp[p]
+        p, g = order[i], gp[i]
         for d in range(3):
             place[i, d] = x[g, d]
             motion[i, d] = x[g, d] - x_old[g, d]
@@ -362,24 +369,23 @@ def pack(order, gp, x, x_old, turn, place, motion):
 
 
 @kernel
-def unpack(at, gp, spin, force, f_gp, f):
+def unpack(gp, spin, force, f_gp, f):
     """Add forces to gridpoints and moments to blocks.
 
     ============  ==========  ==================================================
-    at            (n,)        packed place of every particle
-    gp, spin      (n,)        gridpoint; first rotational velocity, -1: does not turn
+    gp, spin      (n,)        packed: gridpoint; first rotational velocity, -1: does not turn
     force         (n, 6)      packed: force [N] and moment [N m]
     f_gp          (n_gp, 3)   added to [N]
     f             (n_dofs,)   added to [N m]
     ============  ==========  ==================================================
     """
-    for p in range(len(at)):
-        i, g, s = at[p], gp[p], spin[p]
+    for i in range(len(gp)):
+        g, s = gp[i], spin[i]
         for d in range(3):
             f_gp[g, d] += force[i, d]
         if s >= 0:
             for d in range(3):
-                f[s + d] += force[i, 3 + d]
+                f[np.uint64(s) + np.uint64(d)] += force[i, 3 + d]
 
 
 @kernel

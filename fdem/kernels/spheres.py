@@ -72,10 +72,11 @@ def _pair_geometry(work):
 
 
 @kernel
-def _law(work, dt, inverse_dt):
+def _law(work, dt, inverse_dt, deep):
     """Forces of L contacts (top of file) from rows 14-21, history in 24-28 and table in 29-37.
 
-    Out: row 0 N, 1-3 T, 4 friction work, 5 damping work, 6 stiffness over mass, 24-28 history.
+    Out: row 0 N, 1-3 force on the second, 4-6 normal x T, 7 friction work, 8 damping work, 9 stiffness over mass, 10
+    whether half the overlap is more than `deep` times the smaller arm, 24-28 history.
 
     The normal dashpot acts on the speed at the time of the force, which is not known yet:
     ``v(n) = 3/2 v(n-1/2) - 1/2 v(n-3/2) - (N(n) - N(n-1)) dt / 2m``, the last two speeds carried on and what this
@@ -139,19 +140,22 @@ def _law(work, dt, inverse_dt):
         slip = ex * ex + ey * ey + ez * ez
         left = cap - kt * held
         drag = drag if drag * drag * slip <= left * left else 0.0
+        t0, t1, t2 = kt * s0 + drag * ex, kt * s1 + drag * ey, kt * s2 + drag * ez
         work[i] = normal
-        work[L + i], work[2 * L + i], work[3 * L + i] = kt * s0 + drag * ex, kt * s1 + drag * ey, kt * s2 + drag * ez
-        work[4 * L + i] = friction
-        work[5 * L + i] = viscous * closing + drag * slip
-        work[6 * L + i] = stiffness * (1.0 + 0.5 * hertz) * work[37 * L + i]
+        work[L + i], work[2 * L + i], work[3 * L + i] = normal * nx + t0, normal * ny + t1, normal * nz + t2
+        work[4 * L + i], work[5 * L + i], work[6 * L + i] = ny * t2 - nz * t1, nz * t0 - nx * t2, nx * t1 - ny * t0
+        work[7 * L + i] = friction
+        work[8 * L + i] = viscous * closing + drag * slip
+        work[9 * L + i] = stiffness * (1.0 + 0.5 * hertz) * work[37 * L + i]
+        work[10 * L + i] = 0.0 if 0.5 * overlap < deep * min(work[22 * L + i], work[23 * L + i]) else 1.0
         work[24 * L + i], work[25 * L + i], work[26 * L + i], work[27 * L + i] = s0, s1, s2, root
         work[28 * L + i] = step * normal - 0.5 * speed
 
 
 @kernel
 def _lanes():
-    """Work of L contacts that gives no NaN wherever it is not filled."""
-    work = np.zeros(38 * L)
+    """Work of L contacts that gives no NaN wherever it is not filled; rows 38-41 are sums over what a lane has had."""
+    work = np.zeros(42 * L)
     for i in range(L):
         work[i] = work[3 * L + i] = work[4 * L + i] = work[17 * L + i] = 1.0
         work[29 * L + i] = work[30 * L + i] = work[35 * L + i] = 1.0
@@ -159,23 +163,47 @@ def _lanes():
 
 
 @kernel
-def _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, record, out):
+def _keep_sums(count, work):
+    """Add work, and keep the largest stiffness and depth, of the first `count` lanes."""
+    for i in range(count):
+        work[38 * L + i] += work[7 * L + i]
+        work[39 * L + i] += work[8 * L + i]
+        work[40 * L + i] = max(work[40 * L + i], work[9 * L + i])
+        work[41 * L + i] = max(work[41 * L + i], work[10 * L + i])
+
+
+@kernel
+def _total(work, out):
+    """Bring the sums of all lanes to `out`; returns whether a contact is too deep."""
+    deep = False
+    for i in range(L):
+        out[0] += work[38 * L + i]
+        out[1] += work[39 * L + i]
+        out[4] = max(out[4], work[40 * L + i])
+        deep |= work[41 * L + i] > 0.0
+    return deep
+
+
+@kernel
+def _record(k, i, work, record):
+    """Write N and T of lane `i` to row `k`."""
+    normal = work[i]
+    record[k, 0] = normal
+    for c in range(3):
+        record[k, 1 + c] = work[(1 + c) * L + i] - normal * work[(14 + c) * L + i]
+
+
+@kernel
+def _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, record):
     """Compute the pairs gathered in `work` and add their forces."""
     _pair_geometry(work)
-    _law(work, dt, inverse_dt)
-    friction, damping, stiffest = 0.0, 0.0, out[4]
+    _law(work, dt, inverse_dt, DEEP)
+    _keep_sums(count, work)
     for i in range(count):
         a, b, k = first[i], second[i], row[i]
-        normal, t0, t1, t2 = work[i], work[L + i], work[2 * L + i], work[3 * L + i]
-        friction += work[4 * L + i]
-        damping += work[5 * L + i]
-        stiffest = max(stiffest, work[6 * L + i])
-        nx, ny, nz = work[14 * L + i], work[15 * L + i], work[16 * L + i]
-        ai, aj, half = work[22 * L + i], work[23 * L + i], 0.5 * work[17 * L + i]
-        if not half < DEEP * min(ai, aj):
-            out[3] = k + 1
-        gx, gy, gz = normal * nx + t0, normal * ny + t1, normal * nz + t2
-        mx, my, mz = ny * t2 - nz * t1, nz * t0 - nx * t2, nx * t1 - ny * t0
+        gx, gy, gz = work[L + i], work[2 * L + i], work[3 * L + i]
+        mx, my, mz = work[4 * L + i], work[5 * L + i], work[6 * L + i]
+        ai, aj = work[22 * L + i], work[23 * L + i]
         force[a, 0] -= gx
         force[a, 1] -= gy
         force[a, 2] -= gz
@@ -191,10 +219,24 @@ def _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, 
         for c in range(5):
             memory[k, c] = work[(24 + c) * L + i]
         if len(record) > 0:
-            record[k, 0], record[k, 1], record[k, 2], record[k, 3] = normal, t0, t1, t2
-    out[0] += friction
-    out[1] += damping
-    out[4] = stiffest
+            _record(k, i, work, record)
+
+
+@kernel
+def _deepest(place, start, partner):
+    """1 + row of the pair whose overlap is the largest share of its smaller arm."""
+    most, deepest = -np.inf, 0
+    for a in range(len(start) - 1):
+        for k in range(start[a], start[a + 1]):
+            b = partner[k]
+            square = 0.0
+            for c in range(3):
+                square += (place[b, c] - place[a, c]) ** 2
+            half = 0.5 * (place[a, 3] + place[b, 3] - math.sqrt(square))
+            share = half / (min(place[a, 3], place[b, 3]) - half)
+            if not share <= most:
+                most, deepest = share, k + 1
+    return deepest
 
 
 @kernel
@@ -204,7 +246,7 @@ def pair_forces(place, motion, start, partner, kind, table, memory_old, memory, 
     work = _lanes()
     first, second, row = np.zeros(L, np.uint32), np.zeros(L, np.uint32), np.zeros(L, np.uint32)
     filled = np.full(L, -1, np.int64)  # row of the table that a lane holds already
-    count, touching = 0, 0
+    count, touching, lost = 0, 0, 0.0
     force[:, :] = 0.0
     out[3] = out[4] = 0.0
     for a in range(len(start) - 1):
@@ -217,7 +259,7 @@ def pair_forces(place, motion, start, partner, kind, table, memory_old, memory, 
                 old = memory_old[k, 3]
                 if old != 0.0:
                     s0, s1, s2 = memory_old[k, 0], memory_old[k, 1], memory_old[k, 2]
-                    out[0] += 0.5 * table[kind[k], 1] * old * (s0 * s0 + s1 * s1 + s2 * s2)
+                    lost += 0.5 * table[kind[k], 1] * old * (s0 * s0 + s1 * s1 + s2 * s2)
                 memory[k, 0] = memory[k, 1] = memory[k, 2] = memory[k, 3] = memory[k, 4] = 0.0
                 if len(record) > 0:
                     record[k, 0] = record[k, 1] = record[k, 2] = record[k, 3] = 0.0
@@ -239,10 +281,13 @@ def pair_forces(place, motion, start, partner, kind, table, memory_old, memory, 
             count += 1
             touching += 1
             if count == L:
-                _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, record, out)
+                _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, record)
                 count = 0
-    _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, record, out)
+    _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, record)
+    out[0] += lost
     out[2] = touching
+    if _total(work, out):
+        out[3] = _deepest(place, start, partner)
 
 
 @kernel
@@ -269,6 +314,7 @@ def face_forces(
     """
     inverse_dt = 1.0 / dt if dt > 0.0 else 0.0
     work, row, count = _lanes(), np.zeros(L, np.int64), 0
+    work[23 * L : 24 * L] = np.inf
     n = len(at)
     for k in range(n + 1):
         if k < n:
@@ -280,7 +326,7 @@ def face_forces(
                 for c in range(9):
                     memory[k, c] = 0.0
                 continue
-            for c in range(8):
+            for c in range(9):
                 work[(14 + c) * L + count] = geometry[k, c]
             for c in range(5):
                 work[(24 + c) * L + count] = memory_old[source[k], c] if source[k] >= 0 else 0.0
@@ -289,36 +335,35 @@ def face_forces(
             row[count] = k
             count += 1
         if count == L or k == n:
-            _law(work, dt, inverse_dt)
+            _law(work, dt, inverse_dt, 0.5)
+            _keep_sums(count, work)
             for i in range(count):
-                k_t = table[kind[row[i]], 1]
-                _face_done(i, row[i], at[row[i]], k_t, geometry, work, memory, force, push, record, out)
+                _face_done(i, row[i], at[row[i]], work, memory, force, push, record)
+            out[2] += count
             count = 0
+    if _total(work, out):
+        for k in range(n):
+            if active[k] and not geometry[k, 3] < geometry[k, 8]:
+                out[3] = k + 1
 
 
 @kernel
-def _face_done(i, k, a, k_t, geometry, work, memory, force, push, record, out):
+def _face_done(i, k, a, work, memory, force, push, record):
     """Add what lane `i` says of the contact in row `k`, of the sphere at packed place `a`."""
-    normal, t0, t1, t2 = work[i], work[L + i], work[2 * L + i], work[3 * L + i]
-    out[0] += work[4 * L + i]
-    out[1] += work[5 * L + i]
-    out[2] += 1.0
-    nx, ny, nz = geometry[k, 0], geometry[k, 1], geometry[k, 2]
-    arm = geometry[k, 8]
-    if not geometry[k, 3] < arm:
-        out[3] = k + 1
-    push[k, 0], push[k, 1], push[k, 2] = normal * nx + t0, normal * ny + t1, normal * nz + t2
-    record[k, 0], record[k, 1], record[k, 2], record[k, 3] = normal, t0, t1, t2
-    force[a, 0] -= push[k, 0]
-    force[a, 1] -= push[k, 1]
-    force[a, 2] -= push[k, 2]
-    out[4] = max(out[4], work[6 * L + i])
-    force[a, 3] -= arm * (ny * t2 - nz * t1)
-    force[a, 4] -= arm * (nz * t0 - nx * t2)
-    force[a, 5] -= arm * (nx * t1 - ny * t0)
+    gx, gy, gz = work[L + i], work[2 * L + i], work[3 * L + i]
+    arm = work[22 * L + i]
+    push[k, 0], push[k, 1], push[k, 2] = gx, gy, gz
+    force[a, 0] -= gx
+    force[a, 1] -= gy
+    force[a, 2] -= gz
+    force[a, 3] -= arm * work[4 * L + i]
+    force[a, 4] -= arm * work[5 * L + i]
+    force[a, 5] -= arm * work[6 * L + i]
     for c in range(5):
         memory[k, c] = work[(24 + c) * L + i]
-    memory[k, 5], memory[k, 6], memory[k, 7], memory[k, 8] = nx, ny, nz, k_t
+    memory[k, 5], memory[k, 6], memory[k, 7] = work[14 * L + i], work[15 * L + i], work[16 * L + i]
+    memory[k, 8] = work[30 * L + i]
+    _record(k, i, work, record)
 
 
 @kernel
@@ -336,10 +381,10 @@ def stored(overlap, kind, table, memory):
 
 
 @kernel
-def ball_accelerate(f, inverse, scale, a):
-    """Accelerations of spheres: ``F / (scale m)`` and ``T / (scale I)``; `inverse` (n, 2) is 1/m, 1/I; f, a (n, 6)."""
+def ball_accelerate(f, inverse, a):
+    """Accelerations F / m and T / I of spheres; `inverse` (n, 2) is 1/m, 1/I; f, a (n, 6)."""
     for b in range(len(f)):
-        m, i = inverse[b, 0] / scale[b], inverse[b, 1] / scale[b]
+        m, i = inverse[b, 0], inverse[b, 1]
         a[b, 0], a[b, 1], a[b, 2] = m * f[b, 0], m * f[b, 1], m * f[b, 2]
         a[b, 3], a[b, 4], a[b, 5] = i * f[b, 3], i * f[b, 4], i * f[b, 5]
 
@@ -360,3 +405,10 @@ def ball_advance(q, v, dt):
         q[b, 0] += dt * v[b, 0]
         q[b, 1] += dt * v[b, 1]
         q[b, 2] += dt * v[b, 2]
+
+
+@kernel
+def ball_turn(v, dt, turn):
+    """Rotation vectors (n, 3) [rad] of a step `dt` [s] with v (n, 6)."""
+    for b in range(len(turn)):
+        turn[b, 0], turn[b, 1], turn[b, 2] = dt * v[b, 3], dt * v[b, 4], dt * v[b, 5]

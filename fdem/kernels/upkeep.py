@@ -9,12 +9,13 @@ import numpy as np
 from fdem._jit import kernel
 
 FLAT, AJAR = 16, 64  # bits of a patch's flags, see kernels/patches.py
+ROUND_OFF = 1e-12  # of the area of the pair's largest patch
 
 
 @kernel
-def moved(surface_gp, surface_start, x, x_check, tolerance):
-    """Whether some block's surface moved more than its tolerance (n_blocks,) [m] since `x_check`."""
-    for b in range(len(tolerance)):
+def moved(movers, surface_gp, surface_start, x, x_check, tolerance):
+    """Whether the surface of a block of `movers` moved more than its tolerance (n_blocks,) [m] since `x_check`."""
+    for b in movers:
         t = tolerance[b] * tolerance[b]
         for j in range(surface_start[b], surface_start[b + 1]):
             g = surface_gp[j]
@@ -25,9 +26,9 @@ def moved(surface_gp, surface_start, x, x_check, tolerance):
 
 
 @kernel
-def block_motion(surface_gp, surface_start, x, x_ref, out):
-    """Largest displacement of a surface gridpoint of every block since `x_ref` [m]."""
-    for b in range(len(out)):
+def block_motion(movers, surface_gp, surface_start, x, x_ref, out):
+    """Largest displacement [m] of a surface gridpoint since `x_ref`, of the blocks `movers`; others are not written."""
+    for b in movers:
         far = 0.0
         for j in range(surface_start[b], surface_start[b + 1]):
             g = surface_gp[j]
@@ -99,6 +100,8 @@ def worn_pairs(gp, pair, w, flags, reach, normal_reach, x, out):
 def prune(local, facing, area, closed, margin, share, keep, largest, largest_closed, nearest):
     """Which patches weigh (`keep`): at least `share` of their pair's largest; strips by their closed part.
 
+    Where faces just touch, round-off decides which of them are closed: a strip of that size is none.
+
     Out per pair, `local` (n,) being the pair of a patch: largest area of facing patches or closed part of any [m2],
     largest closed part [m2], and in `nearest` the smaller of what it holds and the margins of kept patches [m].
     """
@@ -112,7 +115,7 @@ def prune(local, facing, area, closed, margin, share, keep, largest, largest_clo
         if facing[i]:
             keep[i] |= area[i] > share * largest[k]
         else:
-            keep[i] |= closed[i] > share * largest_closed[k]
+            keep[i] |= closed[i] > max(share * largest_closed[k], ROUND_OFF * largest[k])
         if keep[i]:
             nearest[k] = min(nearest[k], margin[i])
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,13 +60,16 @@ def plane_basis(normal: Sequence[float]) -> tuple[Array, Array]:
     u, v : (3,) arrays
         Unit vectors spanning the plane.
     """
-    n = np.asarray(normal, dtype=np.float64)
-    n = n / np.sqrt((n * n).sum())
-    axis = np.zeros(3)
-    axis[int(np.argmin(np.abs(n)))] = 1.0
-    u = np.cross(axis, n)
-    u /= np.sqrt((u * u).sum())
-    return u, np.cross(n, u)
+    x, y, z = normal
+    length = sqrt(x * x + y * y + z * z)
+    x, y, z = x / length, y / length, z / length
+    sizes = abs(x), abs(y), abs(z)
+    # across n and the axis it is least along
+    least = sizes.index(min(sizes))
+    a, b, c = (0.0, -z, y) if least == 0 else (z, 0.0, -x) if least == 1 else (-y, x, 0.0)
+    length = sqrt(a * a + b * b + c * c)
+    a, b, c = a / length, b / length, c / length
+    return np.array([a, b, c]), np.array([y * c - z * b, z * a - x * c, x * b - y * a])
 
 
 def _canonical(loop: Sequence[Point]) -> list[int]:
@@ -148,7 +152,7 @@ def triangulate(loop: Sequence[Point]) -> list[tuple[int, int, int]]:
         return [(0, 1, 2)]
     order = _canonical(loop)
     ring = [loop[k] for k in order]
-    u, v = plane_basis(area_vector(ring))
+    u, v = (axis.tolist() for axis in plane_basis(area_vector(ring)))
     ox, oy, oz = ring[0]
     xy = [
         (

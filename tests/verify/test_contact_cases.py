@@ -250,10 +250,13 @@ class Spring:
         return result
 
 
-def test_block_dragged_by_a_spring():
+@pytest.mark.parametrize(
+    "body", ["rigid", "uniform", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("linear", "zoned"))]
+)
+def test_block_dragged_by_a_spring(body):
     """K = 1e4 N/m pulled at 0.1 m/s: slip starts at mu m g / (K V), peaks at 2 V, lasts 2 pi / w."""
     mu, K, V, mass = 0.4, 1e4, 0.1, 100.0
-    scene, block, settled = on_table("rigid", mu)
+    scene, block, settled = on_table(body, mu)
     load = scene.apply(Spring(K, V, settled["block"].gridpoints), block)
     sim = fdem.Simulation(scene, fdem.Explicit(), start=settled)
     path = sim.history(block, "displacement", component="x")

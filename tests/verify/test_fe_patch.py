@@ -4,25 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from stress.far import POISSON, SHIFT, YOUNG, A, exact_stress
 from verify.meshes import box
 
 import fdem
 
 pytestmark = pytest.mark.filterwarnings("ignore::fdem.FdemWarning")  # coarse meshes: lumped inertia
-YOUNG, POISSON = 1e10, 0.25
-A = np.array([[1e-4, 2e-4, -5e-5], [3e-5, -1e-4, 7e-5], [4e-5, 1e-5, 6e-5]])
-SHIFT = np.array([1e-3, -2e-3, 5e-4])
 LINEAR_STRESS = np.array([1.04e6, -0.56e6, 0.72e6, 0.32e6, -0.04e6, 0.92e6])
-
-
-def exact_stress(gradient):
-    """Cauchy stress of the St. Venant-Kirchhoff material at the displacement gradient."""
-    lam = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
-    mu = YOUNG / (2 * (1 + POISSON))
-    F = np.eye(3) + gradient
-    strain = 0.5 * (F.T @ F - np.eye(3))
-    cauchy = F @ (lam * np.trace(strain) * np.eye(3) + 2 * mu * strain) @ F.T / np.linalg.det(F)
-    return cauchy[[0, 1, 2, 1, 2, 0], [0, 1, 2, 2, 0, 1]]
 
 
 def solve(gradient, strain, mass="voronoi"):

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from stress import rest
 from verify import test_contact_acceptance as acceptance
 from verify import test_joint_cases as cases
 from verify import test_rigid_cases as rigid
-from verify import test_stress_rest as rest
 
 import fdem
 

@@ -2,47 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import pytest
+from stress.steps import MASS, OMEGA, STIFFNESS, oscillator, released
+from stress.steps import WEAK as G
 
 import fdem
 
 # gravity only keeps the joint closed; small, so that the sides of the block hardly dip into the base
-MASS, STIFFNESS, G = 1000.0, 4e6, 0.981
-OMEGA = np.sqrt(STIFFNESS / MASS)
 CRITICAL = 2.0 / OMEGA
-
-
-def oscillator(push=-400.0, joint_damping=0.0):
-    """A block of 1000 kg on a joint of 4e6 N/m, pressed down by its weight and a force to be released.
-
-    It is 1 x 1 x 0.4 m with next to no shear stiffness, so that the vertical mode is its fastest.
-    """
-    scene = fdem.Scene(gravity=(0, 0, -G))
-    scene.add(fdem.brick((-1, -1, -1), (2, 2, 0)), fdem.Rigid(), fixed=True, name="base")
-    block = scene.add(fdem.brick((0, 0, 0), (1, 1, 0.4)), fdem.Rigid(), fdem.Elastic(density=2500), name="block")
-    scene.joint(fdem.Coulomb(kn=STIFFNESS, ks=1e-3 * STIFFNESS, friction=30, damping=joint_damping))
-    load = scene.apply(fdem.Force((0, 0, push)), block)
-    settled = fdem.Simulation(scene, fdem.Relaxation())
-    assert settled.solve(ratio=1e-12).converged
-    return scene, block, load, settled
 
 
 @pytest.fixture(scope="module")
 def plain():
     return oscillator()
-
-
-def released(setup, integrator, **options):
-    """The block let go from rest, `push` / K below its equilibrium."""
-    scene, _, load, settled = setup
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", fdem.FdemWarning)
-        sim = fdem.Simulation(scene, integrator, start=settled, **options)
-    sim[load].factor = 0.0
-    return sim
 
 
 def frequency(u):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import brentq, minimize_scalar
+from stress.far import CRITICAL, LINE, RA, RB, SIDES, slid
 from verify.meshes import box, plane
 
 import fdem
@@ -22,12 +23,12 @@ B, H, DENSITY = 1.0, 2.0, 2000.0
 WEIGHT = DENSITY * B * H * G  # per metre of depth
 
 
-def tilted(degrees, phi, settlement, damping=0.0):
+def tilted(degrees, phi, settlement, damping=0.0, body=None):
     """A block of 1 x 1 x 2 m on a slope; gravity is tilted. Upright it would settle by `settlement` [m]."""
     a, kn = np.radians(degrees), WEIGHT / (B * settlement)
     scene = fdem.Scene(gravity=G * np.array([np.sin(a), 0, -np.cos(a)]))
     scene.add(fdem.brick((-5, -2, -1), (8, 3, 0)), fdem.Rigid(), fixed=True, name="slope")
-    scene.add(fdem.brick((0, 0, 0), (B, 1, H)), fdem.Rigid(), fdem.Elastic(DENSITY), name="block")
+    scene.add(fdem.brick((0, 0, 0), (B, 1, H)), body or fdem.Rigid(), fdem.Elastic(DENSITY, 1e11, 0.2), name="block")
     scene.joint(fdem.Coulomb(kn=kn, ks=kn, friction=phi, damping=damping))
     return scene
 
@@ -63,13 +64,25 @@ def outcome(sim):
     return {"equilibrium": "stable", "collapse": "slide"}[report.reason]
 
 
-@pytest.mark.parametrize("settlement", [1e-4, 1e-5, pytest.param(1e-7, marks=pytest.mark.long)])
-def test_toppling_threshold(settlement):
+@pytest.mark.parametrize(
+    ("body", "settlement"),
+    [
+        (fdem.Rigid(), 1e-4),
+        (fdem.Rigid(), 1e-5),
+        pytest.param(fdem.Rigid(), 1e-7, marks=pytest.mark.long),
+        (fdem.UniformStrain(), 1e-4),
+        pytest.param(fdem.LinearStrain(), 1e-4, marks=pytest.mark.long),
+        pytest.param(fdem.Zoned(mass="inertia-matched"), 1e-4, marks=pytest.mark.long),
+    ],
+)
+def test_toppling_threshold(body, settlement):
     """Critical tilt within 0.1 degree of the elastic base's: 23.97, 25.38, 26.31 against atan(b/h) = 26.57 degrees."""
     critical = winkler_tilt(settlement)
     assert np.degrees(np.arctan(B / H)) - 600 * settlement ** (1 / 3) < critical < np.degrees(np.arctan(B / H))
     for away, expected in ((-0.1, "stable"), (0.1, "topple")):
-        sim = fdem.Simulation(tilted(critical + away, 45, settlement), fdem.Relaxation(), progress=False, energy=False)
+        sim = fdem.Simulation(
+            tilted(critical + away, 45, settlement, body=body), fdem.Relaxation(), progress=False, energy=False
+        )
         assert outcome(sim) == expected
 
 
@@ -112,46 +125,7 @@ def test_angular_acceleration_at_onset():
 # ---------------------------------------------------------------------------------------------------------- wedge
 
 
-def normal_of(dip, direction):
-    """Upward normal of a plane."""
-    d, a = np.radians(dip), np.radians(direction)
-    return np.array([np.sin(d) * np.sin(a), np.sin(d) * np.cos(a), np.cos(d)])
-
-
-SIDES = normal_of(40, 130), normal_of(60, 220)
-LINE = np.cross(*SIDES) / np.linalg.norm(np.cross(*SIDES))
-LINE = LINE if LINE[2] < 0 else -LINE
 # equilibrium of a unit weight across the line of intersection: normal forces, and what drives along it
-RA, RB, DRIVE = np.linalg.solve(np.column_stack([*SIDES, -LINE]), [0.0, 0.0, 1.0])
-CRITICAL = np.degrees(np.arctan(DRIVE / (RA + RB)))
-
-
-def wedge(phi, speed=0.0, origin=(0.0, 0.0, 0.0), kn=1e9):
-    """Rock cut by planes 40/130 and 60/220 (dip/direction); the piece above both is free, g = 10."""
-    origin = np.asarray(origin)
-    scene = fdem.Scene(gravity=(0, 0, -10))
-    pieces = [fdem.brick(origin - 5, origin + 5)]
-    for dip, direction in ((40, 130), (60, 220)):
-        pieces = fdem.cut(pieces, fdem.JointSet(dip, direction, origin=tuple(origin)))
-    for piece in pieces:
-        above = tuple(bool((piece.centroid - origin) @ n > 0) for n in SIDES)
-        name = {(1, 1): "wedge", (0, 1): "under A", (1, 0): "under B", (0, 0): "deep"}[above]
-        moves = {"velocity": speed * LINE} if name == "wedge" else {"fixed": True}
-        scene.add(piece, fdem.Rigid(), fdem.Elastic(2000.0), name=name, **moves)
-    scene.joint(fdem.Coulomb(kn=kn, ks=kn, friction=phi, damping=0.1))
-    return scene
-
-
-def slid(phi, origin, speed=0.3):
-    """Slides on along the line from a settled start; mean acceleration after the shear has turned into the line."""
-    settled = fdem.Simulation(wedge(35.0, origin=origin), fdem.Relaxation(), progress=False)
-    assert settled.solve(ratio=1e-8).reason == "equilibrium"
-    sim = fdem.Simulation(wedge(phi, speed, origin), fdem.Explicit(safety=0.4), start=settled, progress=False)
-    begin = sim["wedge"].position
-    sim.run(time=0.1)
-    first = sim["wedge"].velocity @ LINE
-    sim.run(time=0.2)
-    return sim, begin, (sim["wedge"].velocity @ LINE - first) / 0.2
 
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (500_000.0, 4_600_000.0, 300.0)])

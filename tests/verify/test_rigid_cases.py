@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from stress.steps import BLOCK_KN, DENSITY, H, block_on_joint, freed, modes_of_block
 from verify.meshes import box
 
 import fdem
@@ -231,52 +232,9 @@ def test_stack_frequencies():
     assert sampled_modes(np.array(history.values) - rest, sim.dt) == pytest.approx(exact, rel=5e-3)
 
 
-B, D, H = 1.0, 0.6, 2.0
-BLOCK_KN, BLOCK_KS, DENSITY = 2e9, 1e9, 2500.0
-
-
-def modes_of_block():
-    """Vertical, twist, two sway-rock pairs about x and about y [rad/s] of the area-integrated joint."""
-    mass, area = DENSITY * B * D * H, B * D
-    inertia = mass / 12 * np.array([D**2 + H**2, B**2 + H**2, B**2 + D**2])
-    second = np.array([B * D**3, D * B**3]) / 12
-    vertical = np.sqrt(BLOCK_KN * area / mass)
-    twist = np.sqrt(BLOCK_KS * second.sum() / inertia[2])
-    pairs = []
-    for k in range(2):
-        shear, arm = BLOCK_KS * area, 0.5 * H
-        stiffness = np.array([[shear, shear * arm], [shear * arm, BLOCK_KN * second[k] + shear * arm**2]])
-        scale = 1 / np.sqrt([mass, inertia[k]])
-        pairs.append(np.sqrt(np.linalg.eigvalsh(stiffness * np.outer(scale, scale))))
-    return vertical, twist, pairs[0], pairs[1]
-
-
-def block_on_joint():
-    """The block on its joint, closed by a tenth of its weight, with small loads that excite every mode."""
-    scene = fdem.Scene(gravity=(0, 0, -0.1 * G))
-    scene.add(fdem.brick((-2, -2, -1), (2, 2, 0)), fdem.Rigid(), fixed=True, name="base")
-    shape = fdem.brick((-B / 2, -D / 2, 0), (B / 2, D / 2, H))
-    block = scene.add(shape, fdem.Rigid(), fdem.Elastic(density=DENSITY), name="block")
-    scene.joint(fdem.Coulomb(kn=BLOCK_KN, ks=BLOCK_KS, friction=60))
-    loads = [scene.apply(fdem.Force((3.0, 2.0, -5.0)), block), scene.apply(fdem.Moment((2.0, 3.0, 1.0)), block)]
-    settled = fdem.Simulation(scene, fdem.Relaxation())
-    assert settled.solve(ratio=1e-11).converged
-    return scene, block, loads, settled
-
-
 @pytest.fixture(scope="module")
 def on_joint():
     return block_on_joint()
-
-
-def freed(setup, integrator):
-    scene, _, loads, settled = setup
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", fdem.FdemWarning)
-        sim = fdem.Simulation(scene, integrator, start=settled)
-    for load in loads:
-        sim[load].factor = 0.0
-    return sim
 
 
 def test_block_on_joint_modes(on_joint):

@@ -9,9 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from stress import rest
+from verify import test_contact_acceptance as acceptance
 from verify import test_contact_cases as shear
 from verify import test_joint_cases as cases
-from verify import test_stress_rest as rest
 
 import fdem
 
@@ -335,3 +336,15 @@ def test_pile_of_spheres(law):
     assert sum(sim.pair_force("floor", f"ball {k}")[2] for k in range(3)) == pytest.approx(4 * weight, rel=1e-7)
     for k in range(3):
         assert sim.pair_force(f"ball {k}", "top")[2] == pytest.approx(weight / 3, rel=1e-6)
+
+
+@pytest.mark.parametrize("e", [0.05, 0.2, 0.35, 0.45])
+def test_eccentric_load(e):
+    """Load at e b: rotation of the no-tension Winkler foundation to 1e-6 (CONTACT.md 6)."""
+    scene = fdem.Scene(gravity=(0, 0, 0))
+    scene.add(fdem.brick((-2, -2, -1), (2, 2, 0)), fdem.Rigid(), fixed=True)
+    block = scene.add(fdem.brick((-0.5, -0.5, 0), (0.5, 0.5, 0.5)), fdem.Rigid(), fdem.Elastic(density=2500))
+    scene.joint(fdem.Coulomb(kn=1e12, ks=1e10, friction=45))
+    scene.apply(fdem.Force((0, 0, -1e6), at=(e, 0, 0)), block)
+    turned = at_rest(scene, 1e-9)[block].rotation_vector[1]
+    assert turned == pytest.approx(acceptance.winkler(e, 1.0, 1e6, 1e12), rel=1e-6)

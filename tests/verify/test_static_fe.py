@@ -73,24 +73,42 @@ def test_patch(strain):
         assert np.abs(sim[block].zone_stress - exact).max() <= 1e-10 * np.abs(exact).max()
 
 
-def test_thick_cylinder():
-    """Against the discrete answer to 1e-8 of the displacement (what the pressure follows is of second order)."""
-    scene, scale = fdem.Scene(gravity=(0, 0, 0)), 1e-6
+def bore(sign):
+    scene = fdem.Scene(gravity=(0, 0, 0))
     shape = quarter_ring(4, 6, cylinder.INNER, cylinder.OUTER, depth=0.25)
     block = scene.add(shape, fdem.Zoned(strain="small"), fdem.Elastic(2500, cylinder.YOUNG, cylinder.POISSON))
     scene.fix(block, "z")
     scene.fix(block, "x", where=lambda x: x[:, 0] == 0.0)
     scene.fix(block, "y", where=lambda x: x[:, 1] == 0.0)
-    bore = lambda x: np.hypot(x[:, 0], x[:, 1]) < cylinder.INNER + 0.01  # noqa: E731
-    scene.apply(fdem.Pressure(scale * cylinder.PRESSURE), block, where=bore)
-    sim = fdem.Simulation(scene, fdem.Static(tolerance=1e-8))
-    loads = sim.system.f_load.copy() if sim.system.forces() is not None else None
-    assert sim.solve(ratio=1e-8).converged
-    moved = sim[block].gridpoint_displacement
-    places = sim[block].gridpoints - moved
-    held = np.column_stack([np.abs(places[:, 0]) < 1e-12, np.abs(places[:, 1]) < 1e-12, np.ones(len(places), bool)])
+    inside = lambda x: np.hypot(x[:, 0], x[:, 1]) < cylinder.INNER + 0.01  # noqa: E731
+    scene.apply(fdem.Pressure(sign * cylinder.SCALE * cylinder.PRESSURE), block, where=inside)
+    return scene, block
+
+
+def bar(sign):
+    scene = fdem.Scene(gravity=(0, 0, -9.81 * sign))
+    block = scene.add(box((2, 2, 10), (1, 1, 10)), fdem.Zoned(strain="small"), fdem.Elastic(2500, 1e9, 0.2))
+    for axis in range(3):
+        scene.fix(block, "xyz"[axis], where=plane(axis, 0.0))
+    return scene, block
+
+
+@pytest.mark.parametrize("case", [bore, bar])
+def test_thick_cylinder_and_bar(case):
+    """The discrete answer to 1e-8, second order (a pressure that follows, a frame that turns) taken out as above."""
+    moved = []
+    for sign in (-1.0, 1.0):
+        scene, block = case(sign)
+        sim = fdem.Simulation(scene, fdem.Static(tolerance=1e-12))
+        sim.system.forces()
+        loads = sim.system.weight.reshape(-1, 3) if sim.system.f_load is None else sim.system.f_load.copy()
+        assert sim.solve(ratio=1e-12).converged
+        moved.append(sim[block].gridpoint_displacement)
+    places = sim[block].gridpoints - moved[1]
+    held = np.abs(places) < 1e-9
+    held[:, 2] |= case is bore
     expected = discrete(sim, loads, held, np.zeros_like(places))
-    assert np.abs(moved - expected).max() <= 1e-6 * np.abs(expected).max()  # round-off of positions: 1e-16 / 2e-9
+    assert np.abs(0.5 * (moved[1] - moved[0]) - expected).max() <= 1e-8 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("lateral", ["smooth", "rough"])

@@ -7,20 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from stress.penetration import EDGE_KN, LENGTH, crossing, over_a_seam
 
 import fdem
 
 G = 9.81
 STONE = fdem.Elastic(density=2000.0)
 QUIET = pytest.mark.filterwarnings("ignore::fdem.FdemWarning")  # a prescribed motion has no stable step
-
-
-def settled(scene, ratio=1e-10):
-    """The scene in equilibrium."""
-    sim = fdem.Simulation(scene, fdem.Relaxation(), progress=False)
-    report = sim.solve(ratio=ratio)
-    assert report.reason == "equilibrium", report
-    return sim
 
 
 @QUIET
@@ -45,45 +38,6 @@ def test_a_wide_face_lands_on_a_narrow_one(gap):
     assert sim.pair_force("cube", plate)[2] == pytest.approx(1e9 * closure, rel=1e-4)
 
 
-SEAM_KN = 1e11
-
-
-def over_a_seam(step, gap, speed, travel, every_step):
-    """Histories of velocity and contact force of a smooth box that slides over the seam of two coplanar blocks."""
-
-    def scene_of(v):
-        scene = fdem.Scene(gravity=(0, 0, -G))
-        scene.add(fdem.brick((0, -1, -1), (2, 2, 0)), fdem.Rigid(), fixed=True, name="left")
-        scene.add(fdem.brick((2 + gap, -1, -1), (5, 2, step)), fdem.Rigid(), fixed=True, name="right")
-        first = 2 - 0.5 * travel
-        shape = fdem.brick((first - 1, 0, 0), (first, 1, 0.5))
-        box = scene.add(shape, fdem.Rigid(), STONE, name="box", velocity=(v, 0, 0))
-        scene.joint(fdem.Coulomb(kn=SEAM_KN, ks=SEAM_KN, friction=0))
-        return scene, box
-
-    start = settled(scene_of(0.0)[0], 1e-9)
-    scene, box = scene_of(speed)
-    sim = fdem.Simulation(scene, fdem.Explicit(), start=start, progress=False)
-    sim.system.contacts.clip_always = every_step
-    velocity, force = sim.history(box, "velocity"), sim.history(box, "contact_force")
-    sim.run(time=travel / speed)
-    assert sim[box].position[0] > 1.5 + 0.4 * travel
-    return velocity.values, force.values
-
-
-@pytest.mark.parametrize(("step", "gap"), [(0.0, 0.0), (1e-12, 0.0), (-1e-12, 1e-12)])
-def test_s17_seam_between_coplanar_blocks(step, gap):
-    """Cut every step: kicks <= 1e-6 m/s, speed kept to 1e-6, force = weight to 1e-6 at all steps.
-
-    Beside the seam the side faces are nearer than the top as far in as the closure, so the joint must be stiff
-    enough for 1e-6 of the force: a closure of 1e-7 of the box.
-    """
-    velocity, force = over_a_seam(step, gap, 1.0, 0.2, every_step=True)
-    assert np.abs(velocity[:, 1:]).max() <= 1e-6
-    assert np.abs(velocity[:, 0] - 1).max() <= 1e-6
-    assert np.abs(force - [0, 0, 1000 * G]).max() <= 1e-6 * 1000 * G
-
-
 @pytest.mark.parametrize(("speed", "travel"), [(1.0, 0.2), (1e-2, 2e-3)])
 def test_s17_seam_with_the_default_cuts(speed, travel):
     """Patches kept for 1e-3 of the block's size: the force is off by that, for a step or two by the motion of them.
@@ -95,27 +49,6 @@ def test_s17_seam_with_the_default_cuts(speed, travel):
     assert np.abs(velocity[:, 1:]).max() <= 1e-5
     assert np.abs(velocity[:, 0] / speed - 1).max() <= 1e-5
     assert np.abs(force - [0, 0, 1000 * G]).max() <= 5e-3 * 1000 * G
-
-
-LENGTH, HALF, EDGE_KN = 1.0, 0.1, 1e10
-
-
-def ridge(length, height, angle):
-    """A square bar standing on its edge, along x, turned by `angle` about z."""
-    section = HALF * np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
-    points = np.array([[x, y, z] for x in (-length / 2, length / 2) for y, z in section])
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    return fdem.convex_hull(points @ turn.T + [0, 0, height])
-
-
-def crossing(angle, friction):
-    """Two such bars, edge over edge, the upper one brought down at 1 mm/s; steps of 1 ms from 0.1 mm above."""
-    scene = fdem.Scene(gravity=(0, 0, 0), gap_tolerance=0)
-    scene.add(ridge(2 * LENGTH, -HALF, 0.0), fdem.Rigid(), fixed=True, name="lower")
-    upper = scene.add(ridge(LENGTH, HALF + 1e-4, angle), fdem.Rigid(), STONE, name="upper")
-    scene.joint(fdem.Coulomb(kn=EDGE_KN, ks=EDGE_KN, friction=friction))
-    scene.apply(fdem.Velocity((0, 0, -1e-3), angular=(0, 0, 0)), upper)
-    return fdem.Simulation(scene, fdem.Explicit(dt=1e-3), progress=False, energy=False)
 
 
 def edge_force(depth, angle):

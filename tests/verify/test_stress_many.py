@@ -5,54 +5,14 @@ S-numbers are those of the list of numerical stress scenarios; the number beside
 
 from __future__ import annotations
 
-import tracemalloc
-
 import numpy as np
 import pytest
-from test_broad import brute
+from stress.rest import wall
 from verify.meshes import box
 
 import fdem
-from fdem.contact.broad import REACH, candidate_pairs
 
-G = 9.81
 STONE = fdem.Elastic(density=2000.0, young=1e10, poisson=0.2)
-
-
-def chains(n):
-    """Bricks of 0.1 to 1000 m anywhere in 1e6 m, in chains whose members touch, nearly touch or do not."""
-    rng = np.random.default_rng(36)
-    lower, upper, left = [], [], 0
-    for edge in 10.0 ** rng.uniform(-1, 3, n):
-        sizes = edge * rng.uniform(0.3, 1, 3)
-        if left == 0:
-            end, left = rng.uniform(0, 1e6, 3), rng.integers(1, 12)
-        low = end - [0, *rng.uniform(0, 0.4, 2)] * sizes
-        lower.append(low)
-        upper.append(low + sizes)
-        end = low + sizes * [1, 0.5, 0.5] + [rng.choice([0, 1e-3, 0.03]) * sizes.min(), 0, 0]
-        left -= 1
-    return np.array(lower), np.array(upper)
-
-
-@pytest.mark.parametrize("n", [1000, pytest.param(10_000, marks=pytest.mark.long)])
-def test_s36_broad_phase_of_a_large_domain(n):
-    """1e4 bodies, sizes 1 : 1e4, domain 1e6 m: pairs equal brute force, memory <= 2 kB a body."""
-    scene = fdem.Scene(gravity=(0, 0, 0))
-    lower, upper = chains(n)
-    for low, up in zip(lower, upper, strict=True):
-        scene.add(fdem.brick(low, up), fdem.Rigid(), STONE)
-    scene.joint(fdem.Coulomb(kn=1e9, ks=1e9, friction=30))
-    sim = fdem.Simulation(scene, fdem.Explicit(), progress=False, energy=False)
-    c = sim.system.contacts
-    expected = brute(lower - sim.model.origin, upper - sim.model.origin, REACH * c._skins, np.zeros(n, np.uint8))
-    assert len(expected) > n / 3
-    np.testing.assert_array_equal(c.pairs, expected)
-    tracemalloc.start()
-    candidate_pairs(c.surfaces, sim.state.x, c._skins, None)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak <= 2048 * n
 
 
 def heap(shape):
@@ -128,47 +88,6 @@ def test_thousands_of_patches_appear_at_once():
     # the rim, as wide as the closure when the patches were last cut, is nearer to the sides
     assert table["area"][facing].sum() == pytest.approx(1.0, abs=4.1e-4)
     assert sim.pair_force(low, high)[2] == pytest.approx(1e10 * closure, rel=4.1e-4)
-
-
-def wall(courses, bricks, kn=1e10):
-    """Dry running bond of so many courses on a fixed base, mu = 0.6."""
-    scene = fdem.Scene()
-    shapes = fdem.wall(0.2 * bricks, 0.1 * courses, 0.1, (0.2, 0.1, 0.1))
-    stones = scene.add(shapes, fdem.Rigid(), STONE, name="brick")
-    scene.add(fdem.brick((-1, -1, -1), (0.2 * bricks + 1, 1.1, 0)), fdem.Rigid(), fixed=True, name="base")
-    scene.joint(fdem.Coulomb(kn=kn, ks=0.8 * kn, friction=np.degrees(np.arctan(0.6))))
-    return scene, stones
-
-
-def test_s12_wall_of_a_thousand_bricks(record_property):
-    """25 x 40, mu = 0.6, gravity from zero: courses to 1e-4, pairs within 2 %, no brick moved > 2 sum of closures."""
-    courses, bricks, kn = 25, 40, 1e10
-    scene, stones = wall(courses, bricks, kn)
-    assert len(stones) > 1000
-    sim = fdem.Simulation(scene, fdem.Relaxation(), progress=False)
-    report = sim.solve(ratio=1e-5)
-    record_property("cycles", report.cycles)
-    record_property("wall time", report.wall_time)
-    assert report.reason == "equilibrium"
-    weight = G * np.array([sim[stone].mass for stone in stones])
-    height = np.array([stone.shape.centroid[2] for stone in stones])
-    course = np.floor(height / 0.1).astype(int)
-    table = sim.contact_table()
-    lying = np.abs(table["normal"][:, 2]) > 0.5
-    level = np.append(height, -1.0)  # the base was added last
-    a, b = table["block_a"], table["block_b"]
-    upper = np.where(level[a] > level[b], a, b)
-    push = np.where(upper == b, 1, -1) * table["force"][:, 2] * lying
-    carried = np.array([weight[course >= k].sum() for k in range(courses)])
-    assert np.bincount(course[upper], push, courses) == pytest.approx(carried, rel=1e-4)
-    pairs = np.bincount(a * len(level) + b, push, len(level) ** 2)
-    ground = pairs.reshape(len(level), -1)[:, len(stones)] + pairs.reshape(len(level), -1)[len(stones)]
-    assert np.abs(ground).max() == pytest.approx(courses * weight.max(), rel=0.02)
-    between = np.delete(np.delete(pairs.reshape(len(level), -1), len(stones), 0), len(stones), 1)
-    assert between.max() == pytest.approx((courses - 1) * weight.max() / 2, rel=0.02)
-    assert sim.energy.kinetic <= 1e-8 * weight.sum() * 0.1 * courses
-    closures = courses * (courses + 1) / 2 * weight.max() / (kn * 0.2 * 0.1)
-    assert np.linalg.norm(sim[stones].displacement, axis=1).max() <= 2 * closures
 
 
 @pytest.mark.parametrize("steps", [50_000, pytest.param(1_000_000, marks=pytest.mark.long)])

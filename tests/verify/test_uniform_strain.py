@@ -8,6 +8,7 @@ from math import factorial
 import numpy as np
 import pytest
 from bodies import rotation
+from stress.solids import SPIN, spinning
 from verify.meshes import plane
 from verify.test_fe_triaxial import COMPLIANCE, POISSON, STATES, YOUNG
 
@@ -160,9 +161,6 @@ def test_density_in_a_body_that_is_not_convex():
 # spin
 
 
-SPIN = 2 * np.pi
-
-
 def test_dda_false_expansion():
     """Free fall and two turns: volume, angle, centroid; a rotation of first order would expand the block by 8 %."""
     velocity, g, density, young, poisson = np.array([1.0, 0, 5.0]), np.array([0, 0, -G]), 2000.0, 1e10, 0.25
@@ -180,42 +178,6 @@ def test_dda_false_expansion():
     np.testing.assert_allclose(sim[block].rotation_vector[:2], 0, atol=1e-12)
     np.testing.assert_allclose(sim[block].position, velocity * 2 + 0.5 * g * 4, atol=1e-10)
     assert sim.energy.closure <= 1e-8
-
-
-def spinning(spin_over_strain, turns, steps, axis=(1.0, 2.0, 2.0)):
-    """A cube that spins in the shape it takes in steady spin, by its kernels alone.
-
-    Returns volume and strain beyond those of steady spin, means over each turn, and the largest change of L.
-    """
-    density, poisson, axis = 2000.0, 0.25, np.array(axis) / np.linalg.norm(axis)
-    # its highest strain mode: all sides at once, omega^2 = 12 (3 lam + 2 mu) / (rho a^2)
-    young = density / 12 * (1 - 2 * poisson) * (SPIN / spin_over_strain) ** 2
-    sim, _ = alone(fdem.brick((-0.5,) * 3, (0.5,) * 3), density, young=young, poisson=poisson)
-    (batch,), q, v, x = sim.model.batches, sim.state.q, sim.state.v, sim.state.x
-    lam, mu, pull = batch.lam[0], batch.mu[0], density / 12 * SPIN**2
-    # across the axis e: lam (2 e + z) + 2 mu e = rho a^2 / 12 w^2 (1 + e), along it z: no stress
-    e, z = np.linalg.solve([[2 * lam + 2 * mu - pull, lam], [2 * lam, lam + 2 * mu]], [pull, 0.0])
-    stretch = (1 + e) * (np.eye(3) - np.outer(axis, axis)) + (1 + z) * np.outer(axis, axis)
-    q[3:] = stretch.ravel()
-    batch.launch(q, x, v, np.zeros((1, 3)), SPIN * axis[None])
-    dt, f, a = 1.0 / steps, np.zeros(12), np.zeros(12)
-    momentum, steady = batch.angular_momentum(q, v)[0], np.linalg.det(stretch)
-    volume, strain, change, h = np.zeros(turns), np.zeros(turns), 0.0, 0.5 * dt
-    for turn in range(turns):
-        sums = np.zeros(2)
-        for _ in range(steps):
-            f[:] = 0.0
-            batch.internal(q, x, f)
-            batch.accelerate(q, f, a)
-            v += h * a
-            h = dt
-            batch.advance(q, v, dt)
-            F = q[3:].reshape(3, 3)
-            sums += np.linalg.det(F) - steady, np.vdot(F, F) - np.vdot(stretch, stretch)
-        volume[turn], strain[turn] = sums / steps
-        now = batch.angular_momentum(q, v)[0]
-        change = max(change, np.linalg.norm(now - momentum) / np.linalg.norm(momentum))
-    return volume, 0.5 * strain, change, steady - 1.0
 
 
 @pytest.mark.parametrize(("turns", "steps"), [(20, 1000), (100, 100), pytest.param(100, 1000, marks=pytest.mark.long)])

@@ -1,0 +1,1 @@
+"""The stress scenarios of numerical stability, and the scenes that the tests share with them."""
