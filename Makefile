@@ -42,6 +42,7 @@ bench: $(STAMP)
 
 docs: $(STAMP)
 	$(BIN)/python tools/api_table.py docs/api.md
+	$(ONE_THREAD) $(BIN)/python tests/verify/test_combinations.py docs/combinations.md
 	$(ONE_THREAD) $(BIN)/python tools/contact_pictures.py docs
 	$(ONE_THREAD) $(BIN)/python tools/contact_study.py
 

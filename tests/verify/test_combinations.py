@@ -38,7 +38,7 @@ def tilted(slope: float, body: object, friction: float, size: tuple[float, float
 
 
 def rule(name: str, dt: float) -> object:
-    """The integrator `name` with the step `dt` [s], damped by its rule: only the end counts where blocks come to rest."""
+    """The integrator `name` with the step `dt` [s]; rules that damp, as blocks are to come to rest."""
     return {
         "Explicit": lambda: fdem.Explicit(),
         "Newmark": lambda: fdem.Newmark(dt=dt, beta=0.5, gamma=1.0),
