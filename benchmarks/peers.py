@@ -1,4 +1,4 @@
-"""Other codes on the same cases at equal accuracy: ratios of rates measured by turns, one table.
+"""Other codes on the same cases: ratios of rates measured by turns, one table.
 
     python benchmarks/peers.py [--full] [--only spheres wall-explicit wall-hard flex arch]
 
@@ -176,7 +176,7 @@ def arch(full: bool) -> Iterator[dict[str, Any]]:
         found = json.loads(done.stdout.strip().splitlines()[-1])
         theirs.append(1 / found["seconds"])
     ours, theirs = ours[1:], theirs[1:]
-    note = f"both say: {'stands' if stands else 'falls'}, {found['verdict']}; set-up included in both"
+    note = f"verdicts: {'stands' if stands else 'falls'} and {found['verdict']}; other methods; set-up included"
     yield row(name, "compas_cra", "verdicts/s", ours, theirs, 1, note)
 
 
@@ -196,7 +196,7 @@ def table(rows: list[dict[str, Any]]) -> str:
             r["case"], r["peer"], f"{r['ours']:.3g} {r['unit']}", f"{r['theirs']:.3g}", f"{r['ratio']:.2f}",
             f"{low:.2f} .. {high:.2f}", f">= {r['goal']:g}: {reached}", r["note"],
         ])  # fmt: skip
-    head = ["case", "peer", "fdem", "peer's", "ratio of medians", "range", "goal", "at equal accuracy"]
+    head = ["case", "peer", "fdem", "peer's", "ratio of medians", "range", "goal", "conditions"]
     return reporting.table(head, lines)
 
 

@@ -99,7 +99,7 @@ def spheres(n: int, threads: int) -> Callable[[], fdem.Simulation]:
 def cut_rock(n: int) -> list[Any]:
     """Pieces of a cube cut by three joint sets, about `n`."""
     side = 20.0
-    spacing = 1.13 * side / n ** (1 / 3)
+    spacing = 1.05 * side / n ** (1 / 3)
     shapes = [fdem.brick((0, 0, 0), (side, side, side))]
     for dip, direction in ((75, 40), (65, 150), (15, 280)):
         shapes = fdem.cut(shapes, fdem.JointSet(dip, direction, spacing=spacing, origin=(9.7, 10.2, 9.9)))

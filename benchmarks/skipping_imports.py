@@ -32,6 +32,12 @@ class Process:
     def __init__(self, needed: bool) -> None:
         self.first, self.position = "import gmsh, skfem, pyvista" if needed else "", None
 
+    @staticmethod
+    def clock() -> float:
+        """CPU time of processes that have ended [s]."""
+        times = os.times()
+        return times.children_user + times.children_system
+
     def cycle(self, steps: int) -> None:
         """Run the program."""
         self.position = output(self.first, "fdem.Rigid()")
