@@ -17,6 +17,7 @@ WHOLE, DILATES, AJAR = 1, 8, 64  # bits of a patch's flags, see kernels/patches.
 SQRT2 = math.sqrt(2.0)
 COS3 = (1.0, -0.5, -0.5)
 SIN3 = (0.0, math.sqrt(0.75), -math.sqrt(0.75))
+IN_PLANE = 1e-13  # of the face's size: a patch this close to the master's plane lies in it
 
 
 @kernel
@@ -188,7 +189,8 @@ def _two_normals(gp, i, x, out):
 def measure(gp, start, corners, offset, x, area, closed, align, depth, plane_depth, centre):
     """Size and position of patches: whole area, closed area [m2], -n_a.n_f, largest depth [m], centroid (n, 3).
 
-    `plane_depth` (n, 3): depth below the master plane at the three slave gridpoints, no offset taken off.
+    `plane_depth` (n, 3): depth below the master plane at the three slave gridpoints, no offset taken off. A patch that
+    lies in the plane but for round-off is closed, whatever its sign.
     """
     longest = 3
     for i in range(len(area)):
@@ -207,12 +209,13 @@ def measure(gp, start, corners, offset, x, area, closed, align, depth, plane_dep
             plane_depth[i, 1] - offset[i, 1],
             plane_depth[i, 2] - offset[i, 2],
         )
-        top = -np.inf
+        low, top = np.inf, -np.inf
         n = start[i + 1] - start[i]
         for k in range(n):
             w1, w2 = corners[start[i] + k, 0], corners[start[i] + k, 1]
             poly[k, 0], poly[k, 1] = w1, w2
-            top = max(top, d0 * (1.0 - w1 - w2) + d1 * w1 + d2 * w2)
+            level = d0 * (1.0 - w1 - w2) + d1 * w1 + d2 * w2
+            low, top = min(low, level), max(top, level)
         depth[i] = top
         area[i] = 0.5 * double * _moment_points(poly, n, pts)
         for d in range(3):
@@ -223,6 +226,8 @@ def measure(gp, start, corners, offset, x, area, closed, align, depth, plane_dep
             centre[i, d] = c / 3.0
         n = _close(corners, start[i], start[i + 1], d0, d1, d2, poly)
         closed[i] = 0.5 * double * _moment_points(poly, n, pts) if n >= 3 else 0.0
+        if low > -IN_PLANE * math.sqrt(double):
+            closed[i] = area[i]
 
 
 @kernel

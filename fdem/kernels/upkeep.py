@@ -9,7 +9,6 @@ import numpy as np
 from fdem._jit import kernel
 
 FLAT, AJAR = 16, 64  # bits of a patch's flags, see kernels/patches.py
-ROUND_OFF = 1e-12  # of the area of the pair's largest patch
 
 
 @kernel
@@ -100,8 +99,6 @@ def worn_pairs(gp, pair, w, flags, reach, normal_reach, x, out):
 def prune(local, facing, area, closed, margin, share, keep, largest, largest_closed, nearest):
     """Which patches weigh (`keep`): at least `share` of their pair's largest; strips by their closed part.
 
-    Where faces just touch, round-off decides which of them are closed: a strip of that size is none.
-
     Out per pair, `local` (n,) being the pair of a patch: largest area of facing patches or closed part of any [m2],
     largest closed part [m2], and in `nearest` the smaller of what it holds and the margins of kept patches [m].
     """
@@ -115,7 +112,7 @@ def prune(local, facing, area, closed, margin, share, keep, largest, largest_clo
         if facing[i]:
             keep[i] |= area[i] > share * largest[k]
         else:
-            keep[i] |= closed[i] > max(share * largest_closed[k], ROUND_OFF * largest[k])
+            keep[i] |= closed[i] > share * largest_closed[k]
         if keep[i]:
             nearest[k] = min(nearest[k], margin[i])
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from stress import rest
+from stress import far, rest
 from verify import test_contact_acceptance as acceptance
 from verify import test_contact_cases as shear
 from verify import test_joint_cases as cases
@@ -160,7 +160,7 @@ def test_wedge_factor():
     To tell so little from the elastic joints, which let a wedge in rotate, its rotation is held.
     """
     for offset, stands in ((0.1, True), (-0.1, False)):
-        scene = cases.wedge(cases.CRITICAL + offset)
+        scene = far.wedge(far.CRITICAL + offset)
         scene.fix("wedge", component="rotation")
         report = fdem.Simulation(scene, fdem.Static()).solve()
         assert report.converged == stands
