@@ -348,7 +348,7 @@ def test_fast_spheres_do_not_pass_a_thin_plate(speed):
             continue
         assert sim[ball].position[2] > 0.0
         if dt is None:
-            assert sim[ball].velocity[2] == pytest.approx(speed, rel=0.05)
+            assert sim[ball].velocity[2] == pytest.approx(speed, rel=0.05)  # S09 of the oracle: within 5 %
 
 
 @pytest.mark.long

@@ -60,10 +60,8 @@ class ZonedBlocks(entries.Additive):
         Lumped masses [kg].
     gravity_mass : (n,) array
         Row sums of the mass matrix [kg]: what gravity acts on; `gp_mass` unless inertia-matched.
-    zone_volume, zone_mass : (m,) arrays
-        [m^3], [kg].
-    block_mass : (n_blocks,) array
-        Exact masses [kg].
+    zone_volume, zone_mass, block_mass : (m,), (m,), (n_blocks,) arrays
+        Exact volumes and masses [m^3, kg].
     inertia_ratio : (n_blocks,) array
         Polar moment of the mass matrix about the exact centroid over the exact one [-].
     centre_shift : (n_blocks,) array
@@ -436,7 +434,8 @@ class ZonedBlocks(entries.Additive):
         return entries.of_pairs(self.dofs.start, *self.pattern.pairs, self.pattern.blocks(x))
 
     @cached_property
-    def pattern(self) -> ZonePattern:  # noqa: D102
+    def pattern(self) -> ZonePattern:
+        """Return where zones have entries in the stiffness, found once."""
         return ZonePattern(self)
 
     def stiffness(self) -> Any:

@@ -89,11 +89,14 @@ class Points:
         """All points of both."""
         if not len(self) or not len(other):
             return self if len(self) else other
-        both = {f.name: (getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
         k = max(self.gp.shape[1], other.gp.shape[1])
-        for name in ("gp", "w"):
-            both[name] = tuple(np.pad(part, ((0, 0), (0, k - part.shape[1]))) for part in both[name])  # type: ignore
-        return Points(**{name: np.concatenate(parts) for name, parts in both.items()})
+        both: dict[str, Any] = {}
+        for f in fields(self):
+            parts = [getattr(points, f.name) for points in (self, other)]
+            if f.name in ("gp", "w"):
+                parts = [np.pad(part, ((0, 0), (0, k - part.shape[1]))) for part in parts]
+            both[f.name] = np.concatenate(parts)
+        return Points(**both)
 
     def matched(self, old: Points) -> Any:
         """Nearest old point of the same pair (n,) within `NEAR` of its size; -1: none."""

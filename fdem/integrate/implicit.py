@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
@@ -77,7 +78,7 @@ class _Start:
 
 
 @dataclass
-class _Implicit:
+class _Implicit(ABC):
     """Newton's method on the equations at the end of the step, shared by the implicit integrators."""
 
     dt: float
@@ -98,8 +99,9 @@ class _Implicit:
         self.linear = LinearSolver(self.solver)
         self.rule = self._rule()
 
+    @abstractmethod
     def _rule(self) -> Rule:
-        raise NotImplementedError
+        """Coefficients of the rule."""
 
     def start(self, system: Any) -> None:
         """Prepare the matrices; velocities that lag half a step are brought to the time of the configuration."""

@@ -303,7 +303,10 @@ def test_in_situ_stress(body):
     for axis in range(3):
         for side in (0.0, 1.0) if axis < 2 else (-2.0,):
             press = ratio * g if axis < 2 else 2 * g
-            where = lambda x, a=axis, s=side: np.abs(x[:, a] - s) < 1e-9  # noqa: E731
+
+            def where(x, a=axis, s=side):
+                return np.abs(x[:, a] - s) < 1e-9
+
             depth = 1.0 if mean or axis == 2 else lambda x: -x[:, 2]
             value = press * depth if not callable(depth) else lambda x, p=press, d=depth: p * d(x)
             scene.apply(fdem.Pressure(value), rock, where=where)

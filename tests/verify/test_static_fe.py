@@ -60,7 +60,10 @@ def test_patch(strain):
     block = scene.add(box((3, 3, 3), (1, 1, 1), jitter=0.25, seed=1), fdem.Zoned(strain=strain),
                       fdem.Elastic(2500, patch.YOUNG, patch.POISSON))  # fmt: skip
     A = patch.A if strain == "large" else 0.5 * (patch.A + patch.A.T)
-    surface = lambda x: (np.abs(x - 0.5) > 0.5 - 1e-9).any(axis=1)  # noqa: E731
+
+    def surface(x):
+        return (np.abs(x - 0.5) > 0.5 - 1e-9).any(axis=1)
+
     scene.apply(fdem.Displacement(lambda x: x @ A.T + patch.SHIFT), block, where=surface)
     sim = fdem.Simulation(scene, fdem.Static(tolerance=1e-11))
     report = sim.solve(ratio=1e-11)
@@ -80,8 +83,11 @@ def bore(sign):
     scene.fix(block, "z")
     scene.fix(block, "x", where=lambda x: x[:, 0] == 0.0)
     scene.fix(block, "y", where=lambda x: x[:, 1] == 0.0)
-    inside = lambda x: np.hypot(x[:, 0], x[:, 1]) < cylinder.INNER + 0.01  # noqa: E731
-    scene.apply(fdem.Pressure(sign * cylinder.SCALE * cylinder.PRESSURE), block, where=inside)
+    scene.apply(
+        fdem.Pressure(sign * cylinder.SCALE * cylinder.PRESSURE),
+        block,
+        where=lambda x: np.hypot(x[:, 0], x[:, 1]) < cylinder.INNER + 0.01,
+    )
     return scene, block
 
 
