@@ -232,6 +232,7 @@ def test_a_cylinder_rolls_down():
     sim = quietly(fdem.Simulation, scene, fdem.Explicit(), progress=False)
     sim.run(time=1.0)
     path = 0.5 * 2 / 3 * 9.81 * np.sin(angle)
+    # no oracle for facets of 1.6 degrees: 0.36 % ahead of a smooth cylinder
     assert sim["roller"].displacement[0] == pytest.approx(path, rel=0.005)
     assert sim["roller"].rotation_vector[1] == pytest.approx(path / 0.5, rel=0.005)
     assert sim.energy.closure < 1e-3
