@@ -265,13 +265,16 @@ class Contacts:
 
     def _install(self, p: Patches, ghosts: Ghosts, x: Array, ids: Any) -> None:
         """Sort the patches `ids` of `p` and allocate what `forces` writes."""
-        order = np.lexsort((p.face_s[ids], p.face_m[ids], p.pair[ids], p.law[ids]))
-        ids = ids[order]
+        ids = ids[self._order(p.face_s[ids], p.face_m[ids], p.pair[ids], p.law[ids])]
         as_they_are = len(ids) == len(p) and bool((ids == np.arange(len(ids))).all())
         self.patches = p if as_they_are else p.take(ids)
         self.ghosts = ghosts
         self.x_check[:] = x
         self._prepare()
+
+    def _order(self, face_s: Ints, face_m: Ints, pair: Ints, law: Ints) -> Any:
+        """Order in which patches are worked on."""
+        return np.lexsort((face_s, face_m, pair, law))
 
     def _prepare(self) -> None:
         p, s = self.patches, self.surfaces
@@ -296,7 +299,7 @@ class Contacts:
         self._align, self._normal, self._push = np.zeros(3 * n), np.zeros((3 * n, 3)), np.zeros((n, 3))
         self._slip, self._mass, self._facing = np.zeros((3 * n, 3)), np.zeros(3 * n), np.zeros(n)
         self._cluster = p.clusters()
-        cluster_normal = np.zeros((int(self._cluster.max(initial=-1)) + 1, 3))
+        self._cluster_normal = np.zeros((int(self._cluster.max(initial=-1)) + 1, 3))
         self._pair_area, self._foot, self._lost = np.zeros(len(self.pairs)), np.zeros((n, 5)), np.zeros(n)
         self._traction, self._work = np.zeros((3 * n, 4)), np.zeros((3 * n, 2))
         self._arm = np.zeros((3 * n if self._armed else 0, 3))
@@ -311,14 +314,18 @@ class Contacts:
         ):  # fmt: skip
             np.minimum.at(tolerance, blocks[pair], r)
         self._tolerance = tolerance
-        self._depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._depth, self._face_normal = np.zeros((n, 3)), np.zeros((n, 3))
         self._partner: Ints | None = None
+        self._bundle()
+
+    def _bundle(self) -> None:
+        """Arguments of the kernels that do not change from step to step."""
+        p = self.patches
         self._close_arguments = (p.gp, p.start, p.corners, p.offset, p.flags, p.limit, p.ref_points, p.ref_ratio)
-        self._closed = (self._area, self._gap, self._depth, face_normal)
-        self._face_normal = face_normal
+        self._closed = (self._area, self._gap, self._depth, self._face_normal)
         self._rows = (
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
-            self._pair_area, cluster_normal, self._foot, self._depth, face_normal,
+            self._pair_area, self._cluster_normal, self._foot, self._depth, self._face_normal,
         )  # fmt: skip
 
     def forces(self, x: Array, x_old: Array, dt: float, f_gp: Array) -> None:
@@ -391,12 +398,16 @@ class Contacts:
         p.area_old[:] = self._area[::3]
         if self._fragile:
             responses.fail(self._active, p.active_old, self._memory, p.memory_old, self._brittle, p.failure)
-        # the exchanged arrays are written completely by the next `forces`
+        self._keep()
+        self._trial = False
+        self._stored = None
+
+    def _keep(self) -> None:
+        """Let the trial be the history; the exchanged arrays are written completely by the next `forces`."""
+        p = self.patches
         p.memory_old, self._memory = self._memory, p.memory_old
         p.points_old, self._points = self._points, p.points_old
         p.active_old, self._active = self._active, p.active_old
-        self._trial = False
-        self._stored = None
 
     def energy(self) -> float:
         """Elastic energy stored in the joints in the last committed state [J]."""
@@ -419,25 +430,14 @@ class Contacts:
         """Number of patches, open ones included."""
         return len(self.patches)
 
-    def stiffness(self, x: Array) -> tuple[Ints, Array, Array, Array, Array]:
-        """Rows of all whole patches; see `table.stiffness`."""
-        return table.stiffness(self, x)
-
-    def potential_k_gp(self, x: Array, mobile: Any) -> Array:
-        """Upper bound of the contact stiffness per gridpoint (n_gp,) [N/m]; see `table.potential_k_gp`."""
-        return table.potential_k_gp(self, x, mobile)
+    stiffness = table.stiffness
+    potential_k_gp = table.potential_k_gp
+    pace = response.pace
+    preload = table.preload
 
     def table(self, x: Array) -> dict[str, Any]:
         """Contact table as a dict of arrays; see `table.contact_table`."""
         return table.contact_table(self, x)
-
-    def pace(self, xdot: Array, change: Array) -> Array:
-        """Step (n_blocks,) [s] in which stiffening joints close as far as they may; see `response.pace`."""
-        return response.pace(self, xdot, change)
-
-    def preload(self, x: Array, stress: Array) -> None:
-        """Start contact tractions from a stress field; see `table.preload`."""
-        table.preload(self, x, stress)
 
     def state_arrays(self) -> dict[str, Array]:
         """Everything that influences the next step, as copies; give it to `restore` of the same model."""
