@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.contact import response, startup, table
+from fdem.contact import corners, response, startup, table
 from fdem.contact.broad import REACH, block_skins, candidate_pairs, common_pairs, master_first
-from fdem.contact.corners import pair_corners
 from fdem.contact.history import inherit_history, inherit_laws, known_offsets
 from fdem.contact.laws import LawTable, stiffness_of
 from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
 from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
 from fdem.contact.wear import closing, drifted_pairs, least_volumes, too_deep, worn_pairs
 from fdem.errors import OverlapError, SceneError
-from fdem.kernels import corners, footprints, joints, memory, upkeep
+from fdem.kernels import footprints, joints, memory, upkeep
 from fdem.kernels import patches as kernels
 from fdem.kernels import response as responses
 
@@ -205,6 +204,7 @@ class Contacts:
     def _redo(self, x: Array, refreshed: Any) -> bool:
         """New broad phase; pairs of refreshed blocks, new pairs and worn ones are cut anew."""
         self.energy()
+        corners.absorb(self)
         worn, drifted = worn_pairs(self, x), drifted_pairs(self, x)
         old_pairs, least = self.pairs, least_volumes(self)
         self.pairs = candidate_pairs(self.surfaces, x, self._skins, self.may_touch)
@@ -243,6 +243,7 @@ class Contacts:
         `slip` (n_patches,) [J] is their elastic slip energy: what the new patches do not take over was dissipated.
         """
         self.energy()  # the arrays it reads are about to go
+        corners.absorb(self)
         mask = np.zeros(len(self.pairs), bool)
         mask[which] = True
         touched = mask[self.patches.pair]
@@ -291,7 +292,7 @@ class Contacts:
         self._brittle = response.brittle_of(self.laws, p)
         self._fragile = bool(self._brittle.any())
         self._bound = self._kn.copy()
-        self._corner = pair_corners(self)
+        self._corner = corners.pair_corners(self)
         self._points, self._active = p.points_old.copy(), np.zeros(n, np.uint8)
         self._memory_start = np.zeros((3 * n, self.n_memory))
         self._memory = np.zeros((3 * n, self.n_memory))
@@ -367,8 +368,7 @@ class Contacts:
             )  # fmt: skip
         if self._armed:
             responses.arms(p.gp, self._points, self._active, x, self._arm)
-        if self._corner is not None:
-            corners.corner_energy(p.pair, self._active, self._gap, self._area, self._align, *self._corner)
+        corners.stiffen(self)
         for k, law in enumerate(self.laws):
             lo, hi = self._law_start[k], self._law_start[k + 1]
             if hi > lo:
@@ -377,12 +377,7 @@ class Contacts:
                     self._mass, self._arm, p.prop, law.props, self._memory_start, self._memory, self._traction,
                     self._work, self._state,
                 )  # fmt: skip
-        if self._corner is not None:
-            _, _, _, slopes, factor, energy = self._corner
-            corners.corner_tractions(
-                p.pair, self._active, self._gap, self._area, self._face_normal, slopes, factor, self._ks, self._memory,
-                self._traction, self._work, energy,
-            )  # fmt: skip
+        corners.push(self)
         self._trial, self._filled = True, True
         response.look(self)
         kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._foot, self._traction, f_gp)
@@ -399,6 +394,7 @@ class Contacts:
         if self._fragile:
             responses.fail(self._active, p.active_old, self._memory, p.memory_old, self._brittle, p.failure)
         self._keep()
+        corners.keep(self)
         self._trial = False
         self._stored = None
 
