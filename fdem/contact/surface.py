@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fdem.contact.polygons import convex_faces, largest_triangle, newell, true_corners, weights
 from fdem.errors import MeshError
 from fdem.kernels import geometry as kernels
+from fdem.kernels import trees
 
 __all__ = ["BlockSurface", "Surfaces"]
 
@@ -100,6 +101,10 @@ class Surfaces:
         Gridpoints on the surface of every block.
     movers : int32
         Blocks that may move.
+    deep : (n_blocks,)
+        Largest of the limits of the faces [m].
+    tree : tuple of int32
+        Trees over the faces of every block, from `trees.plant`.
     """
 
     face_start: Ints
@@ -126,6 +131,8 @@ class Surfaces:
     surface_gp: Ints
     surface_start: Ints
     movers: Ints
+    deep: Array
+    tree: tuple[Ints, ...]
 
     @property
     def n_blocks(self) -> int:
@@ -193,9 +200,19 @@ class Surfaces:
             surface_gp=cat(surface_gp),
             surface_start=np.r_[0, np.cumsum([len(g) for g in surface_gp])].astype(np.int32),
             movers=np.flatnonzero([not b.still for b in blocks]).astype(np.int32),
+            deep=np.zeros(len(blocks)),
+            tree=(),
         )
+        s.tree = trees.plant(s.face_start, *s._boxes(x))
         s._measure(x)
         return s
+
+    def _boxes(self, x: Array) -> tuple[Array, Array]:
+        """Smallest and largest coordinates (n_faces, 3) of the faces [m]."""
+        w = np.column_stack([1.0 - self.corner_w.sum(axis=1), self.corner_w])
+        corner_x = np.einsum("ck,ckd->cd", w, x[np.repeat(self.ref[:, :3], np.diff(self.corner_start), axis=0)])
+        first = self.corner_start[:-1]
+        return np.minimum.reduceat(corner_x, first, axis=0), np.maximum.reduceat(corner_x, first, axis=0)
 
     def _measure(self, x: Array) -> None:
         """Convexity of blocks and depth limits of faces, in the positions `x`."""
@@ -218,6 +235,7 @@ class Surfaces:
             geo.normal,
             self.convex,
             self.open,
+            geo.tree,
             self.limit,
         )
         owner = np.repeat(np.arange(self.n_faces), np.diff(self.corner_start))
@@ -233,11 +251,12 @@ class Surfaces:
         self.most[:] = np.maximum(ROOM_FRACTION * self.room, least)
         np.maximum(self.limit, least[self.face_block], out=self.limit)
         np.minimum(self.limit, self.most[self.face_block], out=self.limit)
+        np.maximum.at(self.deep, self.face_block, self.limit)
 
 
 @dataclass
 class FaceGeometry:
-    """Positions, normals, walls and boxes of faces in the current configuration (scratch of the clip)."""
+    """Positions, normals, walls, boxes of faces and trees in the current configuration (scratch of the clip)."""
 
     corner_x: Array
     normal: Array
@@ -247,14 +266,16 @@ class FaceGeometry:
     upper: Array
     block_lower: Array
     block_upper: Array
+    tree: tuple[Any, ...]
 
     @classmethod
     def of(cls, s: Surfaces) -> FaceGeometry:
         """Allocate for the surfaces `s`."""
-        nc, nf, nb = len(s.corner_w), s.n_faces, s.n_blocks
+        nc, nf, nb, nn = len(s.corner_w), s.n_faces, s.n_blocks, len(s.tree[1])
         return cls(
             np.zeros((nc, 3)), np.zeros((nf, 3)), np.zeros((nc, 3)), np.zeros(nc, np.int8),
             np.zeros((nf, 3)), np.zeros((nf, 3)), np.zeros((nb, 3)), np.zeros((nb, 3)),
+            (*s.tree, np.zeros((nn, 3)), np.zeros((nn, 3))),
         )  # fmt: skip
 
     def refresh(self, s: Surfaces, x: Array, blocks: Ints) -> None:
@@ -264,6 +285,8 @@ class FaceGeometry:
             self.corner_x, self.normal, self.wall, self.kind, self.lower, self.upper,
             self.block_lower, self.block_upper,
         )  # fmt: skip
+        *tree, node_lower, node_upper = self.tree
+        trees.grow(blocks, *tree, self.lower, self.upper, node_lower, node_upper)
 
 
 @dataclass

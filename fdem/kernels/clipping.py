@@ -306,20 +306,52 @@ def _bounds(bufs, work, n_pieces, xs, df, box):
 
 
 @kernel
+def _apart(box, reach, low, high):
+    """Whether the box low, high is farther than `reach` from `box`, in some direction."""
+    for d in range(3):
+        if low[d] > box[1, d] + reach or high[d] < box[0, d] - reach:
+            return True
+    return False
+
+
+@kernel
+def _near(b, box, reach, around, lower, upper, tree, out):
+    """Faces of block b in the box `around` and within `reach` of `box`, in order: (`out` or larger, how many)."""
+    node_start, skip, begin, end, order, node_lower, node_upper = tree
+    n, i = 0, node_start[b]
+    while i < node_start[b + 1]:
+        if _apart(box, reach, node_lower[i], node_upper[i]) or _apart(around, 0.0, node_lower[i], node_upper[i]):
+            i = skip[i]
+            continue
+        for k in range(begin[i], end[i] if skip[i] == i + 1 else begin[i]):
+            g = order[k]
+            if _apart(box, reach, lower[g], upper[g]) or _apart(around, 0.0, lower[g], upper[g]):
+                continue
+            if n == len(out):
+                out = np.concatenate((out, np.empty_like(out)))
+            out[n] = g
+            n += 1
+        i += 1
+    out[:n].sort()
+    return out, n
+
+
+@kernel
 def _rivals(
-    f, around, xs, df, h, snap, n_pieces, convex, affine, all_faces, corner_start, corner_x, normal, wall, kind,
-    lower, upper, bufs, work, tmp, part, dg, v, o, box,
+    f, m, around, xs, df, h, snap, n_pieces, convex, affine, corner_start, corner_x, normal, wall, kind, lower, upper,
+    tree, near, bufs, work, tmp, part, dg, v, o, box,
 ):  # fmt: skip
-    """Take away what the faces `around` of the master are nearer to; number of pieces, margin, miss as `_own_cell`."""
+    """Take away what faces of master m in the box `around` are nearer to.
+
+    Returns the number of pieces, margin and miss as `_own_cell`, and the scratch `near` or a larger one.
+    """
     margin, miss = np.inf, np.inf
-    near = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
-    lo0, lo1, lo2 = box[0, 0] - near, box[0, 1] - near, box[0, 2] - near
-    hi0, hi1, hi2 = box[1, 0] + near, box[1, 1] + near, box[1, 2] + near
-    for g in around:
-        if g == f or (not all_faces and (
-            lower[g, 0] > hi0 or lower[g, 1] > hi1 or lower[g, 2] > hi2
-            or upper[g, 0] < lo0 or upper[g, 1] < lo1 or upper[g, 2] < lo2
-        )):  # fmt: skip
+    reach = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
+    if around[0, 0] == -np.inf:
+        reach = np.inf
+    near, n_near = _near(m, box, reach, around, lower, upper, tree, near)
+    for g in near[:n_near]:
+        if g == f:
             continue
         cosine = normal[f, 0] * normal[g, 0] + normal[f, 1] * normal[g, 1] + normal[f, 2] * normal[g, 2]
         if cosine > (1.0 - 1e-14 if affine else 0.9):
@@ -334,11 +366,11 @@ def _rivals(
             for k in range(3):
                 o[k] = (normal[f, k] - normal[g, k]) / length
             if high <= snap and (low < -snap or not _mine(o)):
-                return 0, margin, max(-high, 0.0)
+                return 0, margin, max(-high, 0.0), near
             margin = min(margin, max(low, 0.0))
             work[0] = _cut(bufs[0], work[0], v[0], v[1], v[2], snap, tmp)
             if work[0] == 0:
-                return 0, margin, miss
+                return 0, margin, miss, near
             continue
         nearer = False
         for q in range(n_pieces):
@@ -354,7 +386,7 @@ def _rivals(
             )  # fmt: skip
         if n_pieces != n_before:
             margin = 0.0
-    return n_pieces, margin, miss
+    return n_pieces, margin, miss, near
 
 
 @kernel
@@ -466,14 +498,14 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
 
 @kernel
 def clip_faces(
-    pair_start, faces, rival_start, rivals, master, window, size, most, max_corners, face_start, corner_start, corner_w,
-    ref, limit, convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
+    pair_start, faces, around, master, window, size, most, max_corners, face_start, corner_start, corner_w,
+    ref, limit, convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper, tree,
 ):  # fmt: skip
     """Cut faces of slaves by the depth cells of faces of masters: the patches of the pairs.
 
     | argument | shape | unit | |
     |---|---|---|---|
-    | pair_start, faces, rival_start, rivals | | - | from `geometry.face_pairs` |
+    | pair_start, faces, around | | | from `geometry.face_pairs` |
     | master | (n_pairs,) | - | block ids |
     | window | (n_pairs,) | m | patches are made up to this gap |
     | size, most | (n_pairs,) | m | size of the smaller block, largest depth that either block admits |
@@ -500,12 +532,10 @@ def clip_faces(
     key, margins, corners = np.empty((64, 4), np.int32), np.empty(64), np.empty((512, 2))
     miss, miss_face = np.full(n_pairs, np.inf), np.full((n_pairs, 2), -1, np.int32)
     too_deep = np.zeros(n_pairs, np.uint8)
-    n_out, n_corners = 0, 0
+    n_out, n_corners, near = 0, 0, np.empty(64, np.int32)
     for p in range(n_pairs):
         m, h, snap = master[p], window[p], SNAP * size[p]
         prove = not convex[m] and not is_open[m]
-        around = rivals[rival_start[p] : rival_start[p + 1]]
-        all_faces = len(around) == face_start[m + 1] - face_start[m]
         for row in range(pair_start[p], pair_start[p + 1]):
             a, f = faces[row, 0], faces[row, 1]
             count, area = _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, df, poly, tmp)
@@ -515,9 +545,9 @@ def clip_faces(
                 f, xs, poly, count, snap, convex[m], corner_start, corner_x, normal, wall, kind, bufs, work, tmp
             )
             if n_pieces > 0:
-                n_pieces, nearest, lost = _rivals(
-                    f, around, xs, df, h, snap, n_pieces, convex[m], affine[m], all_faces, corner_start, corner_x,
-                    normal, wall, kind, lower, upper, bufs, work, tmp, part, dg, v, o, box,
+                n_pieces, nearest, lost, near = _rivals(
+                    f, m, around[p], xs, df, h, snap, n_pieces, convex[m], affine[m], corner_start, corner_x, normal,
+                    wall, kind, lower, upper, tree, near, bufs, work, tmp, part, dg, v, o, box,
                 )  # fmt: skip
                 margin = min(margin, nearest)
             if n_pieces == 0 and lost < miss[p]:
