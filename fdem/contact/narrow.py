@@ -174,12 +174,12 @@ def cut_pairs(
     g = geometry
     near = faces.face_pairs(
         slave[which], master[which], window[which], size, s.face_start, s.corner_start, s.limit, s.deep, s.convex,
-        g.corner_x, g.normal, g.lower, g.upper, g.block_lower, g.block_upper, g.tree,
+        g.corner_x, g.normal, g.lower, g.upper, g.block_lower, g.block_upper, g.lean, g.tree,
     )  # fmt: skip
     key, corners, margin, miss, miss_face, too_deep = clipping.clip_faces(
-        *near, master[which], window[which], size, most, int(np.diff(s.corner_start).max()), s.face_start,
-        s.corner_start, s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind,
-        g.lower, g.upper, g.tree,
+        *near, master[which], window[which], size, most, int(np.diff(s.corner_start).max()), s.corner_start,
+        s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind,
+        g.lower, g.upper, g.lean, g.tree,
     )  # fmt: skip
     local, face_s, face_m = np.ascontiguousarray(key[:, :3].T)
     start = np.r_[0, key[:, 3]].astype(np.int32)

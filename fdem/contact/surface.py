@@ -103,7 +103,7 @@ class Surfaces:
         Blocks that may move.
     deep : (n_blocks,)
         Largest of the limits of the faces [m].
-    tree : tuple of int32
+    tree : tuple of int32 arrays
         Trees over the faces of every block, from `trees.plant`.
     """
 
@@ -256,7 +256,11 @@ class Surfaces:
 
 @dataclass
 class FaceGeometry:
-    """Positions, normals, walls, boxes of faces and trees in the current configuration (scratch of the clip)."""
+    """Positions, normals, walls, boxes of faces and trees in the current configuration (scratch of the clip).
+
+    `lean` (n_faces, 3): how far the cell of a face grows beyond its box in every direction, per height above or below
+    the face; 1 where edges do not bound it.
+    """
 
     corner_x: Array
     normal: Array
@@ -266,6 +270,7 @@ class FaceGeometry:
     upper: Array
     block_lower: Array
     block_upper: Array
+    lean: Array
     tree: tuple[Any, ...]
 
     @classmethod
@@ -275,7 +280,7 @@ class FaceGeometry:
         return cls(
             np.zeros((nc, 3)), np.zeros((nf, 3)), np.zeros((nc, 3)), np.zeros(nc, np.int8),
             np.zeros((nf, 3)), np.zeros((nf, 3)), np.zeros((nb, 3)), np.zeros((nb, 3)),
-            (*s.tree, np.zeros((nn, 3)), np.zeros((nn, 3))),
+            np.ones((nf, 3)), (*s.tree, np.zeros((nn, 15))),
         )  # fmt: skip
 
     def refresh(self, s: Surfaces, x: Array, blocks: Ints) -> None:
@@ -283,10 +288,9 @@ class FaceGeometry:
         kernels.face_geometry(
             blocks, s.face_start, s.corner_start, s.corner_w, s.ref, s.neighbour, s.sharp, s.open, x,
             self.corner_x, self.normal, self.wall, self.kind, self.lower, self.upper,
-            self.block_lower, self.block_upper,
+            self.block_lower, self.block_upper, self.lean,
         )  # fmt: skip
-        *tree, node_lower, node_upper = self.tree
-        trees.grow(blocks, *tree, self.lower, self.upper, node_lower, node_upper)
+        trees.grow(blocks, *self.tree, self.lower, self.upper, self.normal, self.lean)
 
 
 @dataclass

@@ -9,6 +9,7 @@ import numpy as np
 from fdem._jit import kernel
 
 SMOOTH, SHARP, BORDER = 0, 1, 2  # kinds of edges
+SLACK = 1e-6  # of the height: what lies in a wall between two cells meets the boxes of both, whatever round-off says
 FEW = 32  # faces of a convex block of which none is left out
 
 
@@ -41,11 +42,34 @@ def _walls(b, face_start, corner_start, neighbour, sharp, is_open, corner_x, nor
 
 
 @kernel
+def _lean(f, corner_start, wall, kind, normal, out):
+    """How far the cell of face f grows beyond its box, per height over or under the face, in the three directions.
+
+    At every height a triangle all of whose edges are smooth bounds its cell by a similar triangle.
+    """
+    first, last = corner_start[f], corner_start[f + 1]
+    aside = 0.0
+    for c in range(first, last):
+        b = c - 1 if c > first else last - 1
+        rx = wall[b, 1] * wall[c, 2] - wall[b, 2] * wall[c, 1]
+        ry = wall[b, 2] * wall[c, 0] - wall[b, 0] * wall[c, 2]
+        rz = wall[b, 0] * wall[c, 1] - wall[b, 1] * wall[c, 0]
+        s = rx * normal[f, 0] + ry * normal[f, 1] + rz * normal[f, 2]
+        if kind[c] != SMOOTH or last - first > 3 or abs(s) < 1e-9:
+            aside = np.inf
+            break
+        rx, ry, rz = rx / s - normal[f, 0], ry / s - normal[f, 1], rz / s - normal[f, 2]
+        aside = max(aside, math.sqrt(rx * rx + ry * ry + rz * rz))
+    for d in range(3):
+        out[d] = min(1.0, abs(normal[f, d]) + aside + SLACK)
+
+
+@kernel
 def face_geometry(
     blocks, face_start, corner_start, corner_w, ref, neighbour, sharp, is_open, x,
-    corner_x, normal, wall, kind, lower, upper, block_lower, block_upper,
+    corner_x, normal, wall, kind, lower, upper, block_lower, block_upper, lean,
 ):  # fmt: skip
-    """Corners [m], normals, walls (unit, into the cell), edge kinds and boxes of the faces of `blocks`."""
+    """Corners [m], normals, walls (unit, into the cell), edge kinds, boxes and lean of the faces of `blocks`."""
     for b in blocks:
         for d in range(3):
             block_lower[b, d] = np.inf
@@ -71,6 +95,8 @@ def face_geometry(
                 block_lower[b, d] = min(block_lower[b, d], lower[f, d])
                 block_upper[b, d] = max(block_upper[b, d], upper[f, d])
         _walls(b, face_start, corner_start, neighbour, sharp, is_open, corner_x, normal, wall, kind)
+        for f in range(face_start[b], face_start[b + 1]):
+            _lean(f, corner_start, wall, kind, normal, lean[f])
 
 
 @kernel
@@ -122,17 +148,17 @@ def _above(p, g, corner_start, corner_x, normal):
 @kernel
 def _extent(f, b, p, tree, corner_start, corner_x, normal):
     """Extent of block b behind the point `p` of face f, along its normal [m]."""
-    node_start, skip, begin, end, order, node_lower, node_upper = tree
+    node_start, nodes, order, bounds = tree
     h, i = 0.0, node_start[b]
     while i < node_start[b + 1]:
         far, size = 0.0, 0.0  # of the corner of the box that lies deepest, a little farther off
         for d in range(3):
-            v = p[d] - (node_lower[i, d] if normal[f, d] > 0.0 else node_upper[i, d])
+            v = p[d] - bounds[i, d if normal[f, d] > 0.0 else d + 3]
             far, size = far + normal[f, d] * v, size + abs(v)
         if far + 1e-12 * size <= h:
-            i = skip[i]
+            i = nodes[i, 0]
             continue
-        for k in range(begin[i], end[i] if skip[i] == i + 1 else begin[i]):
+        for k in range(nodes[i, 1], nodes[i, 2] if nodes[i, 0] == i + 1 else nodes[i, 1]):
             for c in range(corner_start[order[k]], corner_start[order[k] + 1]):
                 d = (
                     normal[f, 0] * (p[0] - corner_x[c, 0])
@@ -145,11 +171,11 @@ def _extent(f, b, p, tree, corner_start, corner_x, normal):
 
 
 @kernel
-def _pierced(i, o, n, slack, hit, node_lower, node_upper):
+def _pierced(i, o, n, slack, hit, bounds):
     """Whether the ray from `o` along -n meets the box of node i, grown by `slack`, before the length `hit`."""
     first, last = 0.0, hit
     for d in range(3):
-        low, high = node_lower[i, d] - slack, node_upper[i, d] + slack
+        low, high = bounds[i, d] - slack, bounds[i, d + 3] + slack
         if abs(n[d]) < 1e-12:
             if o[d] < low or o[d] > high:
                 return False
@@ -162,15 +188,15 @@ def _pierced(i, o, n, slack, hit, node_lower, node_upper):
 @kernel
 def _behind(f, b, o, tree, corner_start, corner_x, normal, y):
     """Distance [m] from the point `o` of face f, along its normal and into the block, to the next face of block b."""
-    node_start, skip, begin, end, order, node_lower, node_upper = tree
+    node_start, nodes, order, bounds = tree
     hit, i, slack = np.inf, node_start[b], 0.0
     for d in range(3):  # `_above` admits points a little beside the face
-        slack = max(slack, 1e-6 * (node_upper[i, d] - node_lower[i, d]))
+        slack = max(slack, 1e-6 * (bounds[i, d + 3] - bounds[i, d]))
     while i < node_start[b + 1]:
-        if not _pierced(i, o, normal[f], slack, hit, node_lower, node_upper):
-            i = skip[i]
+        if not _pierced(i, o, normal[f], slack, hit, bounds):
+            i = nodes[i, 0]
             continue
-        for k in range(begin[i], end[i] if skip[i] == i + 1 else begin[i]):
+        for k in range(nodes[i, 1], nodes[i, 2] if nodes[i, 0] == i + 1 else nodes[i, 1]):
             g = order[k]
             slope, height, a = 0.0, 0.0, corner_start[g]
             for d in range(3):
@@ -256,10 +282,10 @@ def _overlap(lower, upper, i, j, reach):
 
 
 @kernel
-def _meets(i, low, high, lower, upper):
-    """Whether the box i (row of lower, upper) meets the box low, high."""
+def _meets(lower, upper, low, high):
+    """Whether the box lower, upper meets the box low, high."""
     for d in range(3):
-        if lower[i, d] > high[d] or upper[i, d] < low[d]:
+        if lower[d] > high[d] or upper[d] < low[d]:
             return False
     return True
 
@@ -267,20 +293,21 @@ def _meets(i, low, high, lower, upper):
 @kernel
 def _find(b, low, high, tree, lower, upper, out):
     """Faces of block b whose box meets the box low, high, in ascending order: (`out` or a larger array, how many)."""
-    node_start, skip, begin, end, order, node_lower, node_upper = tree
+    node_start, nodes, order, bounds = tree
     n, i = 0, node_start[b]
     while i < node_start[b + 1]:
-        if not _meets(i, low, high, node_lower, node_upper):
-            i = skip[i]
+        if not _meets(bounds[i], bounds[i, 3:], low, high):
+            i = nodes[i, 0]
             continue
-        for k in range(begin[i], end[i] if skip[i] == i + 1 else begin[i]):
-            if _meets(order[k], low, high, lower, upper):
+        for k in range(nodes[i, 1], nodes[i, 2] if nodes[i, 0] == i + 1 else nodes[i, 1]):
+            if _meets(lower[order[k]], upper[order[k]], low, high):
                 if n == len(out):
                     out = np.concatenate((out, np.empty_like(out)))
                 out[n] = order[k]
                 n += 1
         i += 1
-    out[:n].sort()
+    if node_start[b + 1] > node_start[b] + 1:
+        out[:n].sort()
     return out, n
 
 
@@ -318,7 +345,7 @@ def _around(rows, m, reach, convex, face_start, lower, upper, tree, found, out):
 @kernel
 def face_pairs(
     slave, master, window, size, face_start, corner_start, limit, deep, convex, corner_x, normal, lower, upper,
-    block_lower, block_upper, tree,
+    block_lower, block_upper, lean, tree,
 ):  # fmt: skip
     """Faces of slaves and masters whose boxes are so near that a patch may exist.
 
@@ -352,10 +379,10 @@ def face_pairs(
             depth = min(limit[f], size[p])  # a slave that is all inside is still in the cells of faces around it
             far = 2.0 * (h + depth)
             for d in range(3):
-                lo[d], hi[d] = lower[f, d] - far, upper[f, d] + far
+                lo[d], hi[d] = lower[f, d] - far * lean[f, d], upper[f, d] + far * lean[f, d]
             found, k_s = _find(s, lo, hi, tree, lower, upper, found)
             for a in found[:k_s]:
-                if not _meets(a, low, high, lower, upper):
+                if not _meets(lower[a], upper[a], low, high):
                     continue
                 most = _highest(a, f, corner_start, corner_x, normal)
                 if most < -h or not _overlap(lower, upper, a, f, 2.0 * (h + min(max(most, 0.0), depth))):
@@ -366,9 +393,7 @@ def face_pairs(
                 n_out += 1
         start[p + 1] = n_out
         reach = max(4.0 * h, min(deep[m], size[p])) + h
-        found = _around(
-            out[start[p] : n_out], m, reach, convex[m], face_start, lower, upper, tree, found, around[p]
-        )
+        found = _around(out[start[p] : n_out], m, reach, convex[m], face_start, lower, upper, tree, found, around[p])
     return start, out[:n_out], around
 
 

@@ -1,8 +1,10 @@
 """Kernels of the trees of boxes over the faces of blocks: what is near a face is found without a look at all others.
 
-Nodes stand in preorder: the left child of node i is i + 1, and ``skip[i]`` is the node after all of its descendants,
-so that a search needs no stack. A node is a leaf if ``skip[i] == i + 1``. Which faces belong together is decided once
-(split at the median of the widest direction); the boxes follow motion.
+Nodes stand in preorder: the left child of node i is i + 1, and ``nodes[i, 0]`` is the node after all its descendants,
+so that a search needs no stack. A node is a leaf if ``nodes[i, 0] == i + 1``; ``nodes[i, 1:]`` is its range of places
+in `order`. Which faces belong together is decided once (split at the median of the widest direction); what bounds
+them follows motion, `bounds` (n_nodes, 15): smallest and largest coordinates [m], smallest and largest components of
+normals, largest lean.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import numpy as np
 from fdem._jit import kernel
 
 LEAF = 8  # most faces of a leaf
+FEW = 32  # faces of a block that is one leaf, in order
 
 
 @kernel
@@ -43,28 +46,27 @@ def plant(face_start, lower, upper):
     Returns
     -------
     node_start : (n_blocks + 1,) int32
-    skip, begin, end : (n_nodes,) int32
-        Node after the descendants; range of places in `order`.
+    nodes : (n_nodes, 3) int32
     order : (n_faces,) int32
         Faces, those of every node side by side.
     """
     n_blocks = len(face_start) - 1
     node_start = np.zeros(n_blocks + 1, np.int32)
     for b in range(n_blocks):
-        leaves = (face_start[b + 1] - face_start[b] + LEAF - 1) // LEAF
-        node_start[b + 1] = node_start[b] + max(0, 2 * leaves - 1)
-    n_nodes = node_start[n_blocks]
-    skip, begin, end = np.zeros(n_nodes, np.int32), np.zeros(n_nodes, np.int32), np.zeros(n_nodes, np.int32)
+        n = face_start[b + 1] - face_start[b]
+        node_start[b + 1] = node_start[b] + (2 * ((n + LEAF - 1) // LEAF) - 1 if n > FEW else min(n, 1))
+    nodes = np.zeros((node_start[n_blocks], 3), np.int32)
     order = np.arange(len(lower)).astype(np.int32)
     centre = 0.5 * (lower + upper).T.copy()
     for b in range(n_blocks):
         if node_start[b] == node_start[b + 1]:
             continue
-        begin[node_start[b]], end[node_start[b]] = face_start[b], face_start[b + 1]
-        for i in range(node_start[b], node_start[b + 1]):
-            first, last = begin[i], end[i]
-            leaves = (last - first + LEAF - 1) // LEAF
-            skip[i] = i + 2 * leaves - 1
+        root = node_start[b]
+        nodes[root, 1], nodes[root, 2] = face_start[b], face_start[b + 1]
+        for i in range(root, node_start[b + 1]):
+            first, last = nodes[i, 1], nodes[i, 2]
+            leaves = (last - first + LEAF - 1) // LEAF if node_start[b + 1] > root + 1 else 1
+            nodes[i, 0] = i + 2 * leaves - 1
             if leaves == 1:
                 continue
             axis, widest = 0, -1.0
@@ -77,24 +79,30 @@ def plant(face_start, lower, upper):
             left = leaves // 2
             middle = first + left * LEAF
             _select(centre[axis], order, first, last, middle)
-            begin[i + 1], end[i + 1] = first, middle
-            begin[i + 2 * left], end[i + 2 * left] = middle, last
-    return node_start, skip, begin, end, order
+            nodes[i + 1, 1], nodes[i + 1, 2] = first, middle
+            nodes[i + 2 * left, 1], nodes[i + 2 * left, 2] = middle, last
+    return node_start, nodes, order
 
 
 @kernel
-def grow(blocks, node_start, skip, begin, end, order, lower, upper, node_lower, node_upper):
-    """Boxes node_lower, node_upper (n_nodes, 3) [m] of the trees of `blocks`, from those of the faces."""
+def grow(blocks, node_start, nodes, order, bounds, lower, upper, normal, lean):
+    """What bounds the nodes of `blocks`, from boxes lower, upper [m], normals and lean (n_faces, 3) of the faces."""
     for b in blocks:
         for i in range(node_start[b + 1] - 1, node_start[b] - 1, -1):
-            if skip[i] > i + 1:
-                left, right = i + 1, skip[i + 1]
+            if nodes[i, 0] > i + 1:
+                left, right = i + 1, nodes[i + 1, 0]
                 for d in range(3):
-                    node_lower[i, d] = min(node_lower[left, d], node_lower[right, d])
-                    node_upper[i, d] = max(node_upper[left, d], node_upper[right, d])
+                    for low in (d, d + 6):
+                        bounds[i, low] = min(bounds[left, low], bounds[right, low])
+                    for high in (d + 3, d + 9, d + 12):
+                        bounds[i, high] = max(bounds[left, high], bounds[right, high])
                 continue
             for d in range(3):
-                node_lower[i, d], node_upper[i, d] = np.inf, -np.inf
-                for k in range(begin[i], end[i]):
-                    node_lower[i, d] = min(node_lower[i, d], lower[order[k], d])
-                    node_upper[i, d] = max(node_upper[i, d], upper[order[k], d])
+                bounds[i, d], bounds[i, d + 6] = np.inf, np.inf
+                bounds[i, d + 3], bounds[i, d + 9], bounds[i, d + 12] = -np.inf, -np.inf, 0.0
+                for f in order[nodes[i, 1] : nodes[i, 2]]:
+                    bounds[i, d] = min(bounds[i, d], lower[f, d])
+                    bounds[i, d + 3] = max(bounds[i, d + 3], upper[f, d])
+                    bounds[i, d + 6] = min(bounds[i, d + 6], normal[f, d])
+                    bounds[i, d + 9] = max(bounds[i, d + 9], normal[f, d])
+                    bounds[i, d + 12] = max(bounds[i, d + 12], lean[f, d])
