@@ -73,7 +73,6 @@ class Patches:
     def take(self, ids: Any) -> Patches:
         """The patches `ids` (int array), in that order."""
         ids = np.asarray(ids, dtype=np.int64)
-        rows = (3 * ids[:, None] + np.arange(3)).ravel()
         counts = np.diff(self.start)[ids]
         start = np.r_[0, np.cumsum(counts)].astype(np.int32)
         corner_ids = np.repeat(self.start[ids] - start[:-1], counts) + np.arange(start[-1])
@@ -83,9 +82,11 @@ class Patches:
             if f.name == "start":
                 out[f.name] = start
             elif f.name == "corners":
-                out[f.name] = a[corner_ids]
+                out[f.name] = a.take(corner_ids, axis=0)
+            elif f.name in ("memory_old", "w_clip"):
+                out[f.name] = a.reshape(len(self), 3 * a.shape[1]).take(ids, axis=0).reshape(-1, a.shape[1])
             else:
-                out[f.name] = a[rows if f.name in ("memory_old", "w_clip") else ids]
+                out[f.name] = a.take(ids, axis=0)
         return Patches(**out)
 
     @staticmethod

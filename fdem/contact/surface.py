@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.contact.polygons import convex_faces, largest_triangle, newell, true_corners, weights
+from fdem.contact.polygons import convex_faces, largest_triangle, true_corners, weights
 from fdem.errors import MeshError
 from fdem.kernels import geometry as kernels
 from fdem.kernels import trees
@@ -358,14 +358,13 @@ def _affine_faces(block: BlockSurface, x: Array, index: int) -> _Faces:
     local = (x[lo:hi] - origin) / size
     points = local.tolist()
     raw = [(np.asarray(loop) - lo).tolist() for loop in block.loops]
-    loops, tags, source = convex_faces(raw, [int(t) for t in block.tags], points)
+    loops, tags, source, normals = convex_faces(raw, [int(t) for t in block.tags], points)
     if not loops:
         raise MeshError(f"block {index}: every face of its surface is degenerate")
     start = np.r_[0, np.cumsum([len(loop) for loop in loops])]
     flat = np.array([i for loop in loops for i in loop])
     following = np.array([i for loop in loops for i in (*loop[1:], loop[0])])
     near = edge_neighbours(flat, following, np.repeat(np.arange(len(loops)), np.diff(start))).tolist()
-    normals = [newell([points[i] for i in loop]) for loop in loops]
     corners, corner_w, neighbour, ref = [0], [], [], []
     for i, whole in enumerate(loops):
         across = near[start[i] : start[i + 1]]
