@@ -119,20 +119,20 @@ def clip(name: str, body: object, edge: float) -> None:
     which = np.arange(len(c.pairs), dtype=np.int32)
     size = np.minimum(s.size[c.slave], s.size[c.master])
     near = geometry.face_pairs(
-        c.slave, c.master, c._window, size, s.face_start, s.corner_start, s.limit, s.convex, g.corner_x, g.normal,
-        g.lower, g.upper, g.block_lower, g.block_upper,
+        c.slave, c.master, c._window, size, s.face_start, s.corner_start, s.limit, s.deep, s.convex, g.corner_x,
+        g.normal, g.lower, g.upper, g.block_lower, g.block_upper, g.lean, g.tree,
     )  # fmt: skip
     most, corners = np.minimum(s.most[c.slave], s.most[c.master]), int(np.diff(s.corner_start).max())
     offsets = known_offsets(c.patches, s.n_faces, g)
 
     def clipped() -> None:
         clipping.clip_faces(
-            *near, c.master, c._window, size, most, corners, s.face_start, s.corner_start, s.corner_w, s.ref, s.limit,
-            s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper,
+            *near, c.master, c._window, size, most, corners, s.corner_start, s.corner_w, s.ref, s.limit, s.convex,
+            s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper, g.lean, g.tree,
         )  # fmt: skip
 
     def cut() -> None:
-        cut_pairs(s, g, which, c.slave, c.master, c._window, x, offsets, c.prune, c.n_memory)
+        cut_pairs(s, g, which, c.slave, c.master, c._window, c._least, x, offsets, c.prune, c.n_memory)
 
     alone, whole = seconds(clipped, cut)
     print(

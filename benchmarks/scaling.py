@@ -1,9 +1,11 @@
 """Cost per step and memory against size, set-up apart, one and two threads; cold and warm start.
 
-    python benchmarks/scaling.py [--full] [--only zones blocks contacts spheres jointed start]
+    python benchmarks/scaling.py [--full] [--runs 3] [--only zones blocks contacts spheres jointed start]
 
 Every size runs in a process of its own, so that its memory is its own. Times are CPU seconds of one thread; those of
-two threads are wall times (the same work on two cores). Exponents are those of least squares over the sizes of 4000
+two threads are wall times (the same work on two cores). All sizes run several times in turn and the run with the
+cheapest step counts: what others do to the caches of the machine only ever adds, and it adds most to large models
+(one run each gave exponents of patches of 0.99 to 1.11). Exponents are those of least squares over the sizes of 4000
 and more (below, what a step costs in any case hides it). Writes results/scaling.json, results/scaling.png and the
 section of README.md.
 """
@@ -21,6 +23,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -232,6 +235,7 @@ def main() -> None:
     parser.add_argument(
         "--only", nargs="*", choices=[*KINDS, "jointed", "start"], help="these alone, nothing is written"
     )
+    parser.add_argument("--runs", type=int, default=3, help="of every size, in turn; the cheapest counts")
     parser.add_argument("--child", nargs=3, metavar=("KIND", "SIZE", "THREADS"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.child:
@@ -240,18 +244,19 @@ def main() -> None:
         return
     from scaling_report import draw, report
 
-    wanted, rows = options.only or [*KINDS, "jointed", "start"], []
+    wanted, best = options.only or [*KINDS, "jointed", "start"], {}
     for kind, sizes in (FULL if options.full else QUICK).items():
-        for n in sizes if kind in wanted else []:
-            # two threads where there is work for them
-            for threads in (1, 2) if n == sizes[-1] and kind != "blocks" else (1,):
-                if (row := apart("--child", kind, str(n), str(threads))) is not None:
-                    rows.append(row)
-                    print(
-                        f"{kind:9s} {row['n']:8d} x {threads} threads: step {1e3 * row['step']:9.3f} ms, scene "
-                        f"{row['scene']:6.2f} s, compile {row['compile']:6.2f} s, detection {row['detection']:6.2f} s, "
-                        f"{row['memory'] / 1e6:7.1f} MB", flush=True,
-                    )  # fmt: skip
+        # two threads where there is work for them
+        cases = [(n, 1) for n in sizes] + ([(sizes[-1], 2)] if kind != "blocks" else [])
+        for n, threads in cases * options.runs if kind in wanted else []:
+            if (row := apart("--child", kind, str(n), str(threads))) is not None:
+                best[kind, n, threads] = min(row, best.get((kind, n, threads), row), key=itemgetter("step"))
+                print(
+                    f"{kind:9s} {row['n']:8d} x {threads} threads: step {1e3 * row['step']:9.3f} ms, scene "
+                    f"{row['scene']:6.2f} s, compile {row['compile']:6.2f} s, detection {row['detection']:6.2f} s, "
+                    f"{row['memory'] / 1e6:7.1f} MB", flush=True,
+                )  # fmt: skip
+    rows = list(best.values())
     data: dict[str, Any] = {"machine": reporting.machine(), "full": options.full, "rows": rows}
     if "jointed" in wanted:
         data["jointed"] = [apart("--child", "jointed", str(n), "1") for n in (1_000, 4_000, 10_000)]

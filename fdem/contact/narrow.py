@@ -73,7 +73,6 @@ class Patches:
     def take(self, ids: Any) -> Patches:
         """The patches `ids` (int array), in that order."""
         ids = np.asarray(ids, dtype=np.int64)
-        rows = (3 * ids[:, None] + np.arange(3)).ravel()
         counts = np.diff(self.start)[ids]
         start = np.r_[0, np.cumsum(counts)].astype(np.int32)
         corner_ids = np.repeat(self.start[ids] - start[:-1], counts) + np.arange(start[-1])
@@ -83,9 +82,11 @@ class Patches:
             if f.name == "start":
                 out[f.name] = start
             elif f.name == "corners":
-                out[f.name] = a[corner_ids]
+                out[f.name] = a.take(corner_ids, axis=0)
+            elif f.name in ("memory_old", "w_clip"):
+                out[f.name] = a.reshape(len(self), 3 * a.shape[1]).take(ids, axis=0).reshape(-1, a.shape[1])
             else:
-                out[f.name] = a[rows if f.name in ("memory_old", "w_clip") else ids]
+                out[f.name] = a.take(ids, axis=0)
         return Patches(**out)
 
     def part(self, lo: int, hi: int) -> Patches:
@@ -179,13 +180,13 @@ def cut_pairs(
     most = np.minimum(s.most[slave], s.most[master])[which]
     g = geometry
     near = faces.face_pairs(
-        slave[which], master[which], window[which], size, s.face_start, s.corner_start, s.limit, s.convex, g.corner_x,
-        g.normal, g.lower, g.upper, g.block_lower, g.block_upper,
+        slave[which], master[which], window[which], size, s.face_start, s.corner_start, s.limit, s.deep, s.convex,
+        g.corner_x, g.normal, g.lower, g.upper, g.block_lower, g.block_upper, g.lean, g.tree,
     )  # fmt: skip
     key, corners, margin, miss, miss_face, too_deep = clipping.clip_faces(
-        *near, master[which], window[which], size, most, int(np.diff(s.corner_start).max()), s.face_start,
-        s.corner_start, s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind,
-        g.lower, g.upper,
+        *near, master[which], window[which], size, most, int(np.diff(s.corner_start).max()), s.corner_start,
+        s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind,
+        g.lower, g.upper, g.lean, g.tree,
     )  # fmt: skip
     local, face_s, face_m = np.ascontiguousarray(key[:, :3].T)
     start = np.r_[0, key[:, 3]].astype(np.int32)

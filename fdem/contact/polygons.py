@@ -38,16 +38,19 @@ def cross(a: Point, b: Point) -> Vector:
 def mean(p: Sequence[Point]) -> Vector:
     """Mean of points."""
     share = 1.0 / len(p)
-    return sum(q[0] for q in p) * share, sum(q[1] for q in p) * share, sum(q[2] for q in p) * share
+    x = y = z = 0.0
+    for a, b, c in p:
+        x, y, z = x + a, y + b, z + c
+    return x * share, y * share, z * share
 
 
 def newell(p: Sequence[Point]) -> Vector:
     """Unit normal of the polygon `p` (n, 3); zeros if it has no area."""
-    middle = mean(p)
+    u, v, w = mean(p)
     x = y = z = 0.0
-    ax, ay, az = minus(p[-1], middle)
-    for corner in p:
-        bx, by, bz = minus(corner, middle)
+    ax, ay, az = p[-1][0] - u, p[-1][1] - v, p[-1][2] - w
+    for cx, cy, cz in p:
+        bx, by, bz = cx - u, cy - v, cz - w
         x += ay * bz - az * by
         y += az * bx - ax * bz
         z += ax * by - ay * bx
@@ -65,12 +68,14 @@ def _spread(p: Sequence[Point], n: Vector) -> float:
 def _edges(p: Sequence[Point]) -> list[Vector] | None:
     """Unit vectors from every corner to the next; None where two coincide."""
     out = []
-    for k in range(len(p)):
-        e = minus(p[(k + 1) % len(p)], p[k])
-        length = sqrt(dot(e, e))
+    ax, ay, az = p[0]
+    for bx, by, bz in [*p[1:], p[0]]:
+        x, y, z = bx - ax, by - ay, bz - az
+        length = sqrt(x * x + y * y + z * z)
         if length == 0.0:
             return None
-        out.append((e[0] / length, e[1] / length, e[2] / length))
+        out.append((x / length, y / length, z / length))
+        ax, ay, az = bx, by, bz
     return out
 
 
@@ -96,8 +101,10 @@ def largest_triangle(p: Sequence[Point]) -> tuple[int, int, int]:
     triples = list(itertools.combinations(ids, 3))
     squares = []
     for i, j, k in triples:
-        area = cross(minus(p[j], p[i]), minus(p[k], p[i]))
-        squares.append(dot(area, area))
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = p[i], p[j], p[k]
+        ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        squares.append(x * x + y * y + z * z)
     least = max(squares) * (1.0 - 1e-9) ** 2
     return triples[next(i for i, square in enumerate(squares) if square >= least)]
 
@@ -128,14 +135,17 @@ def weights(p: Sequence[Point], tri: tuple[int, int, int]) -> list[tuple[float, 
     a, b, c = dot(e1, e1), dot(e1, e2), dot(e2, e2)
     area = a * c - b * b
     out = []
-    for corner in p:
-        d = minus(corner, base)
-        s, t = dot(d, e1), dot(d, e2)
+    (x, y, z), (ux, uy, uz), (vx, vy, vz) = base, e1, e2
+    for cx, cy, cz in p:
+        dx, dy, dz = cx - x, cy - y, cz - z
+        s, t = dx * ux + dy * uy + dz * uz, dx * vx + dy * vy + dz * vz
         out.append(((c * s - b * t) / area, (a * t - b * s) / area))
     return out
 
 
-def convex_faces(loops: list[Loop], tags: list[int], x: Sequence[Point]) -> tuple[list[Loop], list[int], list[int]]:
+def convex_faces(
+    loops: list[Loop], tags: list[int], x: Sequence[Point]
+) -> tuple[list[Loop], list[int], list[int], list[Vector]]:
     """Convex planar faces equivalent to `loops`.
 
     Parameters
@@ -149,7 +159,7 @@ def convex_faces(loops: list[Loop], tags: list[int], x: Sequence[Point]) -> tupl
 
     Returns
     -------
-    loops, tags, source
+    loops, tags, source, normals
         `source` is the index of one input loop of every face.
     """
     pieces: list[Piece] = []
@@ -167,9 +177,13 @@ def convex_faces(loops: list[Loop], tags: list[int], x: Sequence[Point]) -> tupl
             pieces.append((part, tags[k], k))
             normals.append(newell([x[i] for i in part]))
     out: list[Piece] = []
+    unit: list[Vector] = []
     for region in _regions(pieces, normals, x):
-        out.extend(_merge(region, pieces, normals, x))
-    return [o[0] for o in out], [o[1] for o in out], [o[2] for o in out]
+        made = _merge(region, pieces, normals, x)
+        out.extend(made)
+        same = len(made) == len(region) == 1
+        unit.extend([normals[region[0]]] if same else [newell([x[i] for i in o[0]]) for o in made])
+    return [o[0] for o in out], [o[1] for o in out], [o[2] for o in out], unit
 
 
 def triangulate(loop: Loop, p: Sequence[Point], n: Vector) -> list[Loop]:

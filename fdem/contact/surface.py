@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.contact.polygons import convex_faces, largest_triangle, newell, true_corners, weights
+from fdem.contact.polygons import convex_faces, largest_triangle, true_corners, weights
 from fdem.errors import MeshError
 from fdem.kernels import geometry as kernels
+from fdem.kernels import trees
 
 __all__ = ["BlockSurface", "Surfaces"]
 
@@ -100,6 +101,10 @@ class Surfaces:
         Gridpoints on the surface of every block.
     movers : int32
         Blocks that may move.
+    deep : (n_blocks,)
+        Largest of the limits of the faces [m].
+    tree : tuple of int32 arrays
+        Trees over the faces of every block, from `trees.plant`.
     """
 
     face_start: Ints
@@ -126,6 +131,8 @@ class Surfaces:
     surface_gp: Ints
     surface_start: Ints
     movers: Ints
+    deep: Array
+    tree: tuple[Ints, ...]
 
     @property
     def n_blocks(self) -> int:
@@ -193,9 +200,19 @@ class Surfaces:
             surface_gp=cat(surface_gp),
             surface_start=np.r_[0, np.cumsum([len(g) for g in surface_gp])].astype(np.int32),
             movers=np.flatnonzero([not b.still for b in blocks]).astype(np.int32),
+            deep=np.zeros(len(blocks)),
+            tree=(),
         )
+        s.tree = trees.plant(s.face_start, *s._boxes(x))
         s._measure(x)
         return s
+
+    def _boxes(self, x: Array) -> tuple[Array, Array]:
+        """Smallest and largest coordinates (n_faces, 3) of the faces [m]."""
+        w = np.column_stack([1.0 - self.corner_w.sum(axis=1), self.corner_w])
+        corner_x = np.einsum("ck,ckd->cd", w, x[np.repeat(self.ref[:, :3], np.diff(self.corner_start), axis=0)])
+        first = self.corner_start[:-1]
+        return np.minimum.reduceat(corner_x, first, axis=0), np.maximum.reduceat(corner_x, first, axis=0)
 
     def _measure(self, x: Array) -> None:
         """Convexity of blocks and depth limits of faces, in the positions `x`."""
@@ -218,6 +235,7 @@ class Surfaces:
             geo.normal,
             self.convex,
             self.open,
+            geo.tree,
             self.limit,
         )
         owner = np.repeat(np.arange(self.n_faces), np.diff(self.corner_start))
@@ -233,11 +251,16 @@ class Surfaces:
         self.most[:] = np.maximum(ROOM_FRACTION * self.room, least)
         np.maximum(self.limit, least[self.face_block], out=self.limit)
         np.minimum(self.limit, self.most[self.face_block], out=self.limit)
+        np.maximum.at(self.deep, self.face_block, self.limit)
 
 
 @dataclass
 class FaceGeometry:
-    """Positions, normals, walls and boxes of faces in the current configuration (scratch of the clip)."""
+    """Positions, normals, walls, boxes of faces and trees in the current configuration (scratch of the clip).
+
+    `lean` (n_faces, 3): how far the cell of a face grows beyond its box in every direction, per height above or below
+    the face; 1 where edges do not bound it.
+    """
 
     corner_x: Array
     normal: Array
@@ -247,14 +270,17 @@ class FaceGeometry:
     upper: Array
     block_lower: Array
     block_upper: Array
+    lean: Array
+    tree: tuple[Any, ...]
 
     @classmethod
     def of(cls, s: Surfaces) -> FaceGeometry:
         """Allocate for the surfaces `s`."""
-        nc, nf, nb = len(s.corner_w), s.n_faces, s.n_blocks
+        nc, nf, nb, nn = len(s.corner_w), s.n_faces, s.n_blocks, len(s.tree[1])
         return cls(
             np.zeros((nc, 3)), np.zeros((nf, 3)), np.zeros((nc, 3)), np.zeros(nc, np.int8),
             np.zeros((nf, 3)), np.zeros((nf, 3)), np.zeros((nb, 3)), np.zeros((nb, 3)),
+            np.ones((nf, 3)), (*s.tree, np.zeros((nn, 15))),
         )  # fmt: skip
 
     def refresh(self, s: Surfaces, x: Array, blocks: Ints) -> None:
@@ -262,8 +288,9 @@ class FaceGeometry:
         kernels.face_geometry(
             blocks, s.face_start, s.corner_start, s.corner_w, s.ref, s.neighbour, s.sharp, s.open, x,
             self.corner_x, self.normal, self.wall, self.kind, self.lower, self.upper,
-            self.block_lower, self.block_upper,
+            self.block_lower, self.block_upper, self.lean,
         )  # fmt: skip
+        trees.grow(blocks, *self.tree, self.lower, self.upper, self.normal, self.lean)
 
 
 @dataclass
@@ -331,14 +358,13 @@ def _affine_faces(block: BlockSurface, x: Array, index: int) -> _Faces:
     local = (x[lo:hi] - origin) / size
     points = local.tolist()
     raw = [(np.asarray(loop) - lo).tolist() for loop in block.loops]
-    loops, tags, source = convex_faces(raw, [int(t) for t in block.tags], points)
+    loops, tags, source, normals = convex_faces(raw, [int(t) for t in block.tags], points)
     if not loops:
         raise MeshError(f"block {index}: every face of its surface is degenerate")
     start = np.r_[0, np.cumsum([len(loop) for loop in loops])]
     flat = np.array([i for loop in loops for i in loop])
     following = np.array([i for loop in loops for i in (*loop[1:], loop[0])])
     near = edge_neighbours(flat, following, np.repeat(np.arange(len(loops)), np.diff(start))).tolist()
-    normals = [newell([points[i] for i in loop]) for loop in loops]
     corners, corner_w, neighbour, ref = [0], [], [], []
     for i, whole in enumerate(loops):
         across = near[start[i] : start[i + 1]]

@@ -288,20 +288,20 @@ def rigid_advance(q, v, dt, moments, axes):
 
 
 @kernel
-def _add_spring(point, centre, normal, straight, shear, out):
-    """Add a spring at `point` (normal stiffness `straight`, shear stiffness `shear`) to the (6, 6) matrix `out`."""
-    turn = np.zeros((3, 6))  # motion of the point: translation + rotation x arm
-    for k in range(3):
-        turn[k, k] = 1.0
+def _add_spring(point, centre, normal, straight, shear, turn, along, out):
+    """Add a spring at `point` (normal stiffness `straight`, shear stiffness `shear`) to the (6, 6) matrix `out`.
+
+    Scratch: `turn` (3, 6), motion of the point by translation (unit matrix) and rotation x arm; `along` (6,).
+    """
     ax, ay, az = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     turn[0, 4], turn[1, 5], turn[2, 3] = az, ax, ay
     turn[0, 5], turn[1, 3], turn[2, 4] = -ay, -az, -ax
     for i in range(6):
-        along_i = normal[0] * turn[0, i] + normal[1] * turn[1, i] + normal[2] * turn[2, i]
-        for j in range(6):
-            along_j = normal[0] * turn[0, j] + normal[1] * turn[1, j] + normal[2] * turn[2, j]
+        along[i] = normal[0] * turn[0, i] + normal[1] * turn[1, i] + normal[2] * turn[2, i]
+        for j in range(i + 1):
             dot = turn[0, i] * turn[0, j] + turn[1, i] * turn[1, j] + turn[2, i] * turn[2, j]
-            out[i, j] += shear * dot + (straight - shear) * along_i * along_j
+            out[i, j] += shear * dot + (straight - shear) * along[i] * along[j]
+            out[j, i] = out[i, j]
 
 
 @kernel
@@ -320,7 +320,7 @@ def rigid_joints(gp, w, frame, kn, ks, x, gp_block, mobile, place, centre, out):
     out       (n_rigid, 6, 6)  added to
     ========  ============  ==================================================
     """
-    point, own = np.zeros(3), np.zeros(3)
+    point, own, turn, along = np.zeros(3), np.zeros(3), np.eye(3, 6), np.zeros(6)
     for row in range(len(gp)):
         sides = gp_block[gp[row, 0]], gp_block[gp[row, 3]]
         for d in range(3):
@@ -340,4 +340,6 @@ def rigid_joints(gp, w, frame, kn, ks, x, gp_block, mobile, place, centre, out):
         twice = 2.0 if mobile[sides[0]] and mobile[sides[1]] else 1.0
         for side in sides:
             if place[side] >= 0 and mobile[side]:
-                _add_spring(point, centre[place[side]], normal, twice * straight, twice * shear, out[place[side]])
+                _add_spring(
+                    point, centre[place[side]], normal, twice * straight, twice * shear, turn, along, out[place[side]]
+                )

@@ -35,8 +35,7 @@ def _cut(poly, n, l0, l1, l2, snap, tmp):
 
     Values below `snap` count as zero, so that a plane through a corner leaves the polygon alone.
     """
-    out = False
-    inside = False
+    out, inside = False, False
     for i in range(n):
         w1, w2 = poly[i, 0], poly[i, 1]
         v = l0 * (1.0 - w1 - w2) + l1 * w1 + l2 * w2
@@ -44,10 +43,8 @@ def _cut(poly, n, l0, l1, l2, snap, tmp):
             out = True
         elif v > snap:
             inside = True
-    if not out:
-        return n
-    if not inside:
-        return 0
+    if not out or not inside:
+        return 0 if out else n
     m = 0
     a1, a2 = poly[n - 1, 0], poly[n - 1, 1]
     va = l0 * (1.0 - a1 - a2) + l1 * a1 + l2 * a2
@@ -56,12 +53,10 @@ def _cut(poly, n, l0, l1, l2, snap, tmp):
         vb = l0 * (1.0 - b1 - b2) + l1 * b1 + l2 * b2
         if (va >= 0.0) != (vb >= 0.0):
             t = va / (va - vb)
-            tmp[m, 0] = a1 + t * (b1 - a1)
-            tmp[m, 1] = a2 + t * (b2 - a2)
+            tmp[m, 0], tmp[m, 1] = a1 + t * (b1 - a1), a2 + t * (b2 - a2)
             m += 1
         if vb >= 0.0:
-            tmp[m, 0] = b1
-            tmp[m, 1] = b2
+            tmp[m, 0], tmp[m, 1] = b1, b2
             m += 1
         a1, a2, va = b1, b2, vb
     _copy(tmp, m, poly)
@@ -75,8 +70,7 @@ def _extremes(poly, n, l0, l1, l2):
     for i in range(n):
         w1, w2 = poly[i, 0], poly[i, 1]
         v = l0 * (1.0 - w1 - w2) + l1 * w1 + l2 * w2
-        low = min(low, v)
-        high = max(high, v)
+        low, high = min(low, v), max(high, v)
     return low, high
 
 
@@ -86,9 +80,8 @@ def _mine(v):
 
     ``-v`` answers differently; round-off does not matter.
     """
-    if abs(v[0]) > 1e-9:
-        return v[0] > 0.0
-    return v[1] > 0.0 if abs(v[1]) > 1e-9 else v[2] > 0.0
+    first = v[1] if abs(v[1]) > 1e-9 else v[2]
+    return (v[0] if abs(v[0]) > 1e-9 else first) > 0.0
 
 
 @kernel
@@ -116,8 +109,7 @@ def _middle(poly, n, xs, out):
 def _distance2(o, g, corner_start, corner_x, normal):
     """Square of the distance of the point `o` from the convex polygon g [m^2]."""
     first, last = corner_start[g], corner_start[g + 1]
-    best = np.inf
-    over = True
+    best, over = np.inf, True
     for c in range(first, last):
         k = c + 1 if c + 1 < last else first
         ex, ey, ez = corner_x[k, 0] - corner_x[c, 0], corner_x[k, 1] - corner_x[c, 1], corner_x[k, 2] - corner_x[c, 2]
@@ -131,14 +123,10 @@ def _distance2(o, g, corner_start, corner_x, normal):
             t = min(max(t, 0.0), 1.0)
             rx, ry, rz = dx - t * ex, dy - t * ey, dz - t * ez
             best = min(best, rx * rx + ry * ry + rz * rz)
-    if over:
-        d = (
-            normal[g, 0] * (o[0] - corner_x[first, 0])
-            + normal[g, 1] * (o[1] - corner_x[first, 1])
-            + normal[g, 2] * (o[2] - corner_x[first, 2])
-        )
-        best = d * d
-    return best
+    height = 0.0
+    for d in range(3):
+        height += normal[g, d] * (o[d] - corner_x[first, d])
+    return height * height if over else best
 
 
 @kernel
@@ -157,16 +145,16 @@ def _upright(f, c, xs, corner_start, corner_x, normal, out):
     s0 = (normal[f, 1] * ez - normal[f, 2] * ey) / length
     s1 = (normal[f, 2] * ex - normal[f, 0] * ez) / length
     s2 = (normal[f, 0] * ey - normal[f, 1] * ex) / length
-    for k in range(3):
-        out[k] = s0 * (xs[k, 0] - corner_x[c, 0]) + s1 * (xs[k, 1] - corner_x[c, 1]) + s2 * (xs[k, 2] - corner_x[c, 2])
+    _plane_values((s0, s1, s2), corner_x[c], xs, out)
 
 
 @kernel
-def _own_cell(f, xs, poly, count, snap, convex, corner_start, corner_x, normal, wall, kind, bufs, work, tmp):
+def _own_cell(f, xs, poly, count, snap, convex, cells, bufs, work, tmp):
     """Split `poly[:count]` into the pieces inside R_f; returns their number, margin and miss; counts go to `work`.
 
     Margin: distance to the nearest wall that did not cut; miss: how far outside an emptied polygon lies.
     """
+    corner_start, corner_x, normal, wall, kind = cells
     v = np.empty(3)
     margin, miss = np.inf, np.inf
     first, last = corner_start[f], corner_start[f + 1]
@@ -204,8 +192,7 @@ def _own_cell(f, xs, poly, count, snap, convex, corner_start, corner_x, normal, 
             if n_pieces < len(bufs):  # the part beyond the bisector but above the face
                 _copy(bufs[q], m, bufs[n_pieces])
                 extra = _cut(bufs[n_pieces], m, -v[0], -v[1], -v[2], snap, tmp)
-                if extra > 0:
-                    extra = _cut(bufs[n_pieces], extra, vertical[0], vertical[1], vertical[2], snap, tmp)
+                extra = _cut(bufs[n_pieces], extra, vertical[0], vertical[1], vertical[2], snap, tmp)
                 if extra > 0 and _ratio(bufs[n_pieces], extra) > 1e-14:
                     work[n_pieces] = extra
                     n_pieces += 1
@@ -216,15 +203,13 @@ def _own_cell(f, xs, poly, count, snap, convex, corner_start, corner_x, normal, 
 
 
 @kernel
-def _rival(
-    f, g, xs, df, dg, outside, reach, bufs, work, n_pieces, snap, corner_start, corner_x, normal, wall, kind, tmp, part,
-    o, v,
-):  # fmt: skip
+def _rival(f, g, xs, df, dg, outside, reach, bufs, work, n_pieces, snap, cells, tmp, part, o, v):
     """Take away from the pieces what lies in the cell of the competing face g; returns the number of pieces.
 
     Inside the master (depth of g >= 0) g reaches up to the planes normal to it through its sharp edges, outside
     (`outside`) up to the bisectors, and only where its polygon is not farther away than that of f.
     """
+    corner_start, corner_x, normal, wall, kind = cells
     first, last = corner_start[g], corner_start[g + 1]
     sign = -1.0 if outside else 1.0
     n_old = n_pieces
@@ -235,9 +220,8 @@ def _rival(
         _copy(bufs[q], m, part)
         # first find out whether there is anything to take away, then do it: bisector, side of g, its edges, its reach
         n = _cut(part, m, df[0] - dg[0], df[1] - dg[1], df[2] - dg[2], snap, tmp)
-        if n > 0:
-            n = _cut(part, n, sign * dg[0], sign * dg[1], sign * dg[2], snap, tmp)
-        if n > 0 and outside:
+        n = _cut(part, n, sign * dg[0], sign * dg[1], sign * dg[2], snap, tmp)
+        if outside:
             n = _cut(part, n, dg[0] + reach, dg[1] + reach, dg[2] + reach, snap, tmp)
         for c in range(first, last):
             if n == 0:
@@ -284,16 +268,13 @@ def _rival(
                         n_pieces += 1
                     made = True
             n = _cut(part, n, v[0], v[1], v[2], snap, tmp)
-            if n == 0:
-                break
     return n_pieces
 
 
 @kernel
 def _bounds(bufs, work, n_pieces, xs, df, box):
     """Box (2, 3) of all pieces [m]; returns the largest depth."""
-    deepest = -np.inf
-    box[0], box[1] = np.inf, -np.inf
+    deepest, box[0], box[1] = -np.inf, np.inf, -np.inf
     for q in range(n_pieces):
         for i in range(work[q]):
             w1, w2 = bufs[q, i, 0], bufs[q, i, 1]
@@ -306,27 +287,63 @@ def _bounds(bufs, work, n_pieces, xs, df, box):
 
 
 @kernel
+def _apart(box, reach, lean, low, high):
+    """Whether the box low, high is farther from `box` than `reach` times `lean` in one of the three directions."""
+    for d in range(3):
+        far = reach * lean[d]
+        if low[d] > box[1, d] + far or high[d] < box[0, d] - far:
+            return True
+    return False
+
+
+@kernel
+def _near(b, box, reach, n, alike, search):
+    """Faces of block b, in order, from whose boxes their cells up to the height `reach` may come to `box`.
+
+    Faces whose normals make a cosine with `n` above `alike` may be left out.
+    """
+    lower, upper, lean, (node_start, nodes, order, bounds) = search
+    i = node_start[b]
+    if reach == np.inf:
+        return order[nodes[i, 1] : nodes[i, 2]]
+    out, n_out = np.empty(64, np.int32), 0
+    while i < node_start[b + 1]:
+        cosine = 0.0
+        for d in range(3):
+            cosine += min(n[d] * bounds[i, d + 6], n[d] * bounds[i, d + 9])
+        if cosine > alike or _apart(box, reach, bounds[i, 12:], bounds[i], bounds[i, 3:]):
+            i = nodes[i, 0]
+            continue
+        for g in order[nodes[i, 1] : nodes[i, 2] if nodes[i, 0] == i + 1 else nodes[i, 1]]:
+            if not _apart(box, reach, lean[g], lower[g], upper[g]):
+                if n_out == len(out):
+                    out = np.concatenate((out, np.empty_like(out)))
+                out[n_out] = g
+                n_out += 1
+        i += 1
+    out[:n_out].sort()
+    return out[:n_out]
+
+
+@kernel
 def _rivals(
-    f, around, xs, df, h, snap, n_pieces, convex, affine, all_faces, corner_start, corner_x, normal, wall, kind,
-    lower, upper, bufs, work, tmp, part, dg, v, o, box,
-):  # fmt: skip
-    """Take away what the faces `around` of the master are nearer to; number of pieces, margin, miss as `_own_cell`."""
+    f, m, around, xs, df, h, snap, n_pieces, convex, affine, cells, search, bufs, work, tmp, part, dg, v, o, box
+):
+    """Take away what faces of master m in the box `around` are nearer to; returns the same as `_own_cell`."""
+    corner_start, corner_x, normal, _, _ = cells
     margin, miss = np.inf, np.inf
-    near = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
-    lo0, lo1, lo2 = box[0, 0] - near, box[0, 1] - near, box[0, 2] - near
-    hi0, hi1, hi2 = box[1, 0] + near, box[1, 1] + near, box[1, 2] + near
-    for g in around:
-        if g == f or (not all_faces and (
-            lower[g, 0] > hi0 or lower[g, 1] > hi1 or lower[g, 2] > hi2
-            or upper[g, 0] < lo0 or upper[g, 1] < lo1 or upper[g, 2] < lo2
-        )):  # fmt: skip
+    reach = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
+    if around[0, 0] == -np.inf:
+        reach = np.inf
+    alike = 1.0 - 1e-14 if affine else 0.9
+    for g in _near(m, box, reach, normal[f], alike, search):
+        if g == f or (reach < np.inf and _apart(around, 0.0, normal[g], search[0][g], search[1][g])):
             continue
         cosine = normal[f, 0] * normal[g, 0] + normal[f, 1] * normal[g, 1] + normal[f, 2] * normal[g, 2]
-        if cosine > (1.0 - 1e-14 if affine else 0.9):
+        if cosine > alike:
             continue
         _plane_values(normal[g], corner_x[corner_start[g]], xs, dg)
-        for k in range(3):
-            dg[k] = -dg[k]
+        dg *= -1.0
         if convex:
             length = math.sqrt(2.0 - 2.0 * cosine)
             v[0], v[1], v[2] = (dg[0] - df[0]) / length, (dg[1] - df[1]) / length, (dg[2] - df[2]) / length
@@ -348,68 +365,62 @@ def _rivals(
             continue
         n_before = n_pieces
         for outside in (False, True):
-            n_pieces = _rival(
-                f, g, xs, df, dg, outside, 4.0 * h, bufs, work, n_pieces, snap, corner_start, corner_x, normal, wall,
-                kind, tmp, part, o, v,
-            )  # fmt: skip
+            n_pieces = _rival(f, g, xs, df, dg, outside, 4.0 * h, bufs, work, n_pieces, snap, cells, tmp, part, o, v)
         if n_pieces != n_before:
             margin = 0.0
     return n_pieces, margin, miss
 
 
 @kernel
-def _inside(o, b, face_start, corner_start, corner_x):
-    """Whether the point `o` lies inside the closed surface of block b (Van Oosterom and Strackee, 1983)."""
-    angle = 0.0
-    for f in range(face_start[b], face_start[b + 1]):
-        first = corner_start[f]
-        for c in range(first + 1, corner_start[f + 1] - 1):
-            ax, ay, az = corner_x[first, 0] - o[0], corner_x[first, 1] - o[1], corner_x[first, 2] - o[2]
-            bx, by, bz = corner_x[c, 0] - o[0], corner_x[c, 1] - o[1], corner_x[c, 2] - o[2]
-            cx, cy, cz = corner_x[c + 1, 0] - o[0], corner_x[c + 1, 1] - o[1], corner_x[c + 1, 2] - o[2]
-            la, lb = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
-            lc = math.sqrt(cx * cx + cy * cy + cz * cz)
-            triple = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-            ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
-            angle += 2.0 * math.atan2(triple, la * lb * lc + ab * lc + bc * la + ca * lb)
-    return angle > 2.0 * math.pi
+def _inside(o, b, box, corner_start, corner_x, normal, search):
+    """Whether the point `o` lies inside the closed surface of block b: a ray leaves it more often than it enters."""
+    box[0], box[1] = o, o
+    box[1, 0] = np.inf
+    leaves = 0
+    for g in _near(b, box, 0.0, o, np.inf, search):
+        first, last = corner_start[g], corner_start[g + 1]
+        met, ahead = False, 0.0
+        for c in range(first, last):
+            k = c + 1 if c + 1 < last else first
+            y, z, turn = corner_x[c, 1] - o[1], corner_x[c, 2] - o[2], corner_x[k, 1] - o[1]
+            if (y > 0.0) != (turn > 0.0) and z + (corner_x[k, 2] - corner_x[c, 2]) * y / (y - turn) > 0.0:
+                met = not met
+        for d in range(3):
+            ahead += normal[g, d] * (corner_x[first, d] - o[d])
+        if met and ahead * normal[g, 0] > 0.0:
+            leaves += 1 if normal[g, 0] > 0.0 else -1
+    return leaves > 0
 
 
 @kernel
-def _owns(f, b, part, n, xs, df, affine, face_start, corner_start, corner_x, normal, lower, upper, o):
+def _owns(f, b, part, n, xs, df, affine, cells, search, o, box):
     """Whether the middle of the polygon `part[:n]` lies inside block b, and no face of b is nearer than the plane of f.
 
     The depth of a cell is at most the distance to the whole surface; faces that count as one smooth surface are
     compared with a tolerance.
     """
+    corner_start, corner_x, normal, _, _ = cells
     w1, w2 = _middle(part, n, xs, o)
     depth = (1.0 - w1 - w2) * df[0] + w1 * df[1] + w2 * df[2]
     radius = depth * (0.98 if affine else 0.8)
-    r2 = radius * radius
     alone = True
-    for g in range(face_start[b], face_start[b + 1]):
-        if g == f:
-            continue
-        gap2 = 0.0
-        for d in range(3):
-            gap = max(lower[g, d] - o[d], o[d] - upper[g, d])
-            if gap > 0.0:
-                gap2 += gap * gap
-        if gap2 < depth * depth:
-            d2 = _distance2(o, g, corner_start, corner_x, normal)
-            if d2 < r2:
-                return False
-            alone = alone and d2 > depth * depth
+    for d in range(3):
+        box[0, d], box[1, d] = o[d] - depth, o[d] + depth
+    for g in _near(b, box, 0.0, o, np.inf, search):
+        d2 = _distance2(o, g, corner_start, corner_x, normal) if g != f else np.inf
+        if d2 < radius * radius:
+            return False
+        alone = alone and d2 > depth * depth
     if alone and _distance2(o, f, corner_start, corner_x, normal) <= depth * depth * (1.0 + 1e-9):
         return True  # straight below f and nothing in between
-    return _inside(o, b, face_start, corner_start, corner_x)
+    o[1], o[2] = o[1] + 0.0437 * depth, o[2] + 0.0711 * depth  # no face is so near; edges of meshes lie elsewhere
+    return _inside(o, b, box, corner_start, corner_x, normal, search)
 
 
 @kernel
 def _within_limit(
-    f, m, xs, df, deep, poly, count, least, smallest, snap, prove, affine, face_start, corner_start, corner_x, normal,
-    lower, upper, part, tmp, o,
-):  # fmt: skip
+    f, m, xs, df, deep, poly, count, least, smallest, snap, prove, affine, cells, search, part, tmp, o, box
+):
     """Cut away what is deeper than `deep` or does not belong to f; corners left, and whether there was too much depth.
 
     The second value: 1 too deep, -1 cut because behind f there is air again or another face is nearer.
@@ -420,9 +431,7 @@ def _within_limit(
         _copy(poly, count, part)
         rest = _cut(part, count, df[0] - deep, df[1] - deep, df[2] - deep, snap, tmp)
         if rest > 0 and _ratio(part, rest) > smallest:
-            if not prove or _owns(
-                f, m, part, rest, xs, df, affine, face_start, corner_start, corner_x, normal, lower, upper, o
-            ):
+            if not prove or _owns(f, m, part, rest, xs, df, affine, cells, search, o, box):
                 answer = 1
         count = _cut(poly, count, deep - df[0], deep - df[1], deep - df[2], snap, tmp)
         high = deep
@@ -430,9 +439,7 @@ def _within_limit(
         _copy(poly, count, part)
         low = 0.5 * high
         rest = _cut(part, count, df[0] - low, df[1] - low, df[2] - low, snap, tmp)
-        if rest > 0 and not _owns(
-            f, m, part, rest, xs, df, affine, face_start, corner_start, corner_x, normal, lower, upper, o
-        ):
+        if rest > 0 and not _owns(f, m, part, rest, xs, df, affine, cells, search, o, box):
             count = _cut(poly, count, -df[0], -df[1], -df[2], snap, tmp)
             answer = answer if answer == 1 else -1
     return count, answer
@@ -448,16 +455,14 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
         for d in range(3):
             xs[k, d] = x[ref[a, k], d]
     _plane_values(normal[f], corner_x[corner_start[f]], xs, df)
-    for k in range(3):
-        df[k] = -df[k]
+    df *= -1.0
     count = corner_start[a + 1] - corner_start[a]
     for i in range(count):
         poly[i, 0], poly[i, 1] = corner_w[corner_start[a] + i, 0], corner_w[corner_start[a] + i, 1]
-    low, high = _extremes(poly, count, df[0], df[1], df[2])
+    _, high = _extremes(poly, count, df[0], df[1], df[2])
     if high < -h:
         return 0, 0.0
-    if low < -h:
-        count = _cut(poly, count, df[0] + h, df[1] + h, df[2] + h, snap, tmp)
+    count = _cut(poly, count, df[0] + h, df[1] + h, df[2] + h, snap, tmp)
     e1x, e1y, e1z = xs[1, 0] - xs[0, 0], xs[1, 1] - xs[0, 1], xs[1, 2] - xs[0, 2]
     e2x, e2y, e2z = xs[2, 0] - xs[0, 0], xs[2, 1] - xs[0, 1], xs[2, 2] - xs[0, 2]
     cx, cy, cz = e1y * e2z - e1z * e2y, e1z * e2x - e1x * e2z, e1x * e2y - e1y * e2x
@@ -466,14 +471,14 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
 
 @kernel
 def clip_faces(
-    pair_start, faces, rival_start, rivals, master, window, size, most, max_corners, face_start, corner_start, corner_w,
-    ref, limit, convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper,
+    pair_start, faces, around, master, window, size, most, max_corners, corner_start, corner_w, ref, limit,
+    convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper, lean, tree,
 ):  # fmt: skip
     """Cut faces of slaves by the depth cells of faces of masters: the patches of the pairs.
 
     | argument | shape | unit | |
     |---|---|---|---|
-    | pair_start, faces, rival_start, rivals | | - | from `geometry.face_pairs` |
+    | pair_start, faces, around | | | from `geometry.face_pairs` |
     | master | (n_pairs,) | - | block ids |
     | window | (n_pairs,) | m | patches are made up to this gap |
     | size, most | (n_pairs,) | m | size of the smaller block, largest depth that either block admits |
@@ -500,24 +505,21 @@ def clip_faces(
     key, margins, corners = np.empty((64, 4), np.int32), np.empty(64), np.empty((512, 2))
     miss, miss_face = np.full(n_pairs, np.inf), np.full((n_pairs, 2), -1, np.int32)
     too_deep = np.zeros(n_pairs, np.uint8)
+    cells, search = (corner_start, corner_x, normal, wall, kind), (lower, upper, lean, tree)
     n_out, n_corners = 0, 0
     for p in range(n_pairs):
         m, h, snap = master[p], window[p], SNAP * size[p]
         prove = not convex[m] and not is_open[m]
-        around = rivals[rival_start[p] : rival_start[p + 1]]
-        all_faces = len(around) == face_start[m + 1] - face_start[m]
         for row in range(pair_start[p], pair_start[p + 1]):
             a, f = faces[row, 0], faces[row, 1]
             count, area = _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, df, poly, tmp)
             if count == 0:
                 continue
-            n_pieces, margin, lost = _own_cell(
-                f, xs, poly, count, snap, convex[m], corner_start, corner_x, normal, wall, kind, bufs, work, tmp
-            )
+            n_pieces, margin, lost = _own_cell(f, xs, poly, count, snap, convex[m], cells, bufs, work, tmp)
             if n_pieces > 0:
                 n_pieces, nearest, lost = _rivals(
-                    f, around, xs, df, h, snap, n_pieces, convex[m], affine[m], all_faces, corner_start, corner_x,
-                    normal, wall, kind, lower, upper, bufs, work, tmp, part, dg, v, o, box,
+                    f, m, around[p], xs, df, h, snap, n_pieces, convex[m], affine[m], cells, search, bufs, work, tmp,
+                    part, dg, v, o, box,
                 )  # fmt: skip
                 margin = min(margin, nearest)
             if n_pieces == 0 and lost < miss[p]:
@@ -529,7 +531,7 @@ def clip_faces(
                 if work[q] > 0:
                     count, answer = _within_limit(
                         f, m, xs, df, min(limit[f], most[p]), bufs[q], work[q], FALSE_DEPTH * size[p], smallest, snap,
-                        prove, affine[m], face_start, corner_start, corner_x, normal, lower, upper, part, tmp, o,
+                        prove, affine[m], cells, search, part, tmp, o, box,
                     )  # fmt: skip
                 if answer == 1:
                     too_deep[p] = 1

@@ -9,6 +9,7 @@ import numpy as np
 from fdem._jit import kernel
 
 SMOOTH, SHARP, BORDER = 0, 1, 2  # kinds of edges
+SLACK = 1e-6  # of the height: what lies in a wall between two cells meets the boxes of both, whatever round-off says
 FEW = 32  # faces of a convex block of which none is left out
 
 
@@ -41,11 +42,34 @@ def _walls(b, face_start, corner_start, neighbour, sharp, is_open, corner_x, nor
 
 
 @kernel
+def _lean(f, corner_start, wall, kind, normal, out):
+    """How far the cell of face f grows beyond its box, per height over or under the face, in the three directions.
+
+    At every height a triangle all of whose edges are smooth bounds its cell by a similar triangle.
+    """
+    first, last = corner_start[f], corner_start[f + 1]
+    aside = 0.0
+    for c in range(first, last):
+        b = c - 1 if c > first else last - 1
+        rx = wall[b, 1] * wall[c, 2] - wall[b, 2] * wall[c, 1]
+        ry = wall[b, 2] * wall[c, 0] - wall[b, 0] * wall[c, 2]
+        rz = wall[b, 0] * wall[c, 1] - wall[b, 1] * wall[c, 0]
+        s = rx * normal[f, 0] + ry * normal[f, 1] + rz * normal[f, 2]
+        if kind[c] != SMOOTH or last - first > 3 or abs(s) < 1e-9:
+            aside = np.inf
+            break
+        rx, ry, rz = rx / s - normal[f, 0], ry / s - normal[f, 1], rz / s - normal[f, 2]
+        aside = max(aside, math.sqrt(rx * rx + ry * ry + rz * rz))
+    for d in range(3):
+        out[d] = min(1.0, abs(normal[f, d]) + aside + SLACK)
+
+
+@kernel
 def face_geometry(
     blocks, face_start, corner_start, corner_w, ref, neighbour, sharp, is_open, x,
-    corner_x, normal, wall, kind, lower, upper, block_lower, block_upper,
+    corner_x, normal, wall, kind, lower, upper, block_lower, block_upper, lean,
 ):  # fmt: skip
-    """Corners [m], normals, walls (unit, into the cell), edge kinds and boxes of the faces of `blocks`."""
+    """Corners [m], normals, walls (unit, into the cell), edge kinds, boxes and lean of the faces of `blocks`."""
     for b in blocks:
         for d in range(3):
             block_lower[b, d] = np.inf
@@ -71,6 +95,8 @@ def face_geometry(
                 block_lower[b, d] = min(block_lower[b, d], lower[f, d])
                 block_upper[b, d] = max(block_upper[b, d], upper[f, d])
         _walls(b, face_start, corner_start, neighbour, sharp, is_open, corner_x, normal, wall, kind)
+        for f in range(face_start[b], face_start[b + 1]):
+            _lean(f, corner_start, wall, kind, normal, lean[f])
 
 
 @kernel
@@ -120,21 +146,77 @@ def _above(p, g, corner_start, corner_x, normal):
 
 
 @kernel
-def _extent(f, b, p, face_start, corner_start, corner_x, normal):
+def _extent(f, b, p, tree, corner_start, corner_x, normal):
     """Extent of block b behind the point `p` of face f, along its normal [m]."""
-    h = 0.0
-    for c in range(corner_start[face_start[b]], corner_start[face_start[b + 1]]):
-        d = (
-            normal[f, 0] * (p[0] - corner_x[c, 0])
-            + normal[f, 1] * (p[1] - corner_x[c, 1])
-            + normal[f, 2] * (p[2] - corner_x[c, 2])
-        )
-        h = max(h, d)
+    node_start, nodes, order, bounds = tree
+    h, i = 0.0, node_start[b]
+    while i < node_start[b + 1]:
+        far, size = 0.0, 0.0  # of the corner of the box that lies deepest, a little farther off
+        for d in range(3):
+            v = p[d] - bounds[i, d if normal[f, d] > 0.0 else d + 3]
+            far, size = far + normal[f, d] * v, size + abs(v)
+        if far + 1e-12 * size <= h:
+            i = nodes[i, 0]
+            continue
+        for k in range(nodes[i, 1], nodes[i, 2] if nodes[i, 0] == i + 1 else nodes[i, 1]):
+            for c in range(corner_start[order[k]], corner_start[order[k] + 1]):
+                d = (
+                    normal[f, 0] * (p[0] - corner_x[c, 0])
+                    + normal[f, 1] * (p[1] - corner_x[c, 1])
+                    + normal[f, 2] * (p[2] - corner_x[c, 2])
+                )
+                h = max(h, d)
+        i += 1
     return h
 
 
 @kernel
-def thickness(face_start, corner_start, corner_x, normal, convex, is_open, out):
+def _pierced(i, o, n, slack, hit, bounds):
+    """Whether the ray from `o` along -n meets the box of node i, grown by `slack`, before the length `hit`."""
+    first, last = 0.0, hit
+    for d in range(3):
+        low, high = bounds[i, d] - slack, bounds[i, d + 3] + slack
+        if abs(n[d]) < 1e-12:
+            if o[d] < low or o[d] > high:
+                return False
+            continue
+        s, t = (o[d] - high) / n[d], (o[d] - low) / n[d]
+        first, last = max(first, min(s, t)), min(last, max(s, t))
+    return first <= last
+
+
+@kernel
+def _behind(f, b, o, tree, corner_start, corner_x, normal, y):
+    """Distance [m] from the point `o` of face f, along its normal and into the block, to the next face of block b."""
+    node_start, nodes, order, bounds = tree
+    hit, i, slack = np.inf, node_start[b], 0.0
+    for d in range(3):  # `_above` admits points a little beside the face
+        slack = max(slack, 1e-6 * (bounds[i, d + 3] - bounds[i, d]))
+    while i < node_start[b + 1]:
+        if not _pierced(i, o, normal[f], slack, hit, bounds):
+            i = nodes[i, 0]
+            continue
+        for k in range(nodes[i, 1], nodes[i, 2] if nodes[i, 0] == i + 1 else nodes[i, 1]):
+            g = order[k]
+            slope, height, a = 0.0, 0.0, corner_start[g]
+            for d in range(3):
+                slope += normal[f, d] * normal[g, d]
+                height += normal[g, d] * (o[d] - corner_x[a, d])
+            if g == f or slope > -1e-6:
+                continue
+            t = height / slope
+            if t <= 0.0 or t >= hit:
+                continue
+            for d in range(3):
+                y[d] = o[d] - t * normal[f, d]
+            if _above(y, g, corner_start, corner_x, normal):
+                hit = t
+        i += 1
+    return hit
+
+
+@kernel
+def thickness(face_start, corner_start, corner_x, normal, convex, is_open, tree, out):
     """Thickness of the block behind every face [m]: extent of a convex block, else along the ray from the centroid."""
     o, y = np.empty(3), np.empty(3)
     for b in range(len(face_start) - 1):
@@ -145,23 +227,9 @@ def thickness(face_start, corner_start, corner_x, normal, convex, is_open, out):
             first, last = corner_start[f], corner_start[f + 1]
             for d in range(3):
                 o[d] = corner_x[first, d] if convex[b] else np.mean(corner_x[first:last, d])
-            hit = np.inf
-            for g in range(face_start[b], face_start[b + 1]):
-                slope, height, a = 0.0, 0.0, corner_start[g]
-                for d in range(3):
-                    slope += normal[f, d] * normal[g, d]
-                    height += normal[g, d] * (o[d] - corner_x[a, d])
-                if convex[b] or g == f or slope > -1e-6:
-                    continue
-                t = height / slope
-                if t <= 0.0 or t >= hit:
-                    continue
-                for d in range(3):
-                    y[d] = o[d] - t * normal[f, d]
-                if _above(y, g, corner_start, corner_x, normal):
-                    hit = t
+            hit = np.inf if convex[b] else _behind(f, b, o, tree, corner_start, corner_x, normal, y)
             if hit == np.inf:  # convex, or numerically open
-                hit = _extent(f, b, o, face_start, corner_start, corner_x, normal)
+                hit = _extent(f, b, o, tree, corner_start, corner_x, normal)
             out[f] = hit
 
 
@@ -214,18 +282,33 @@ def _overlap(lower, upper, i, j, reach):
 
 
 @kernel
-def _near_faces(b, low, high, reach, lower, upper, face_start, out):
-    """Faces of block b whose box comes within `reach` of the box low, high; returns how many."""
-    n = 0
-    for f in range(face_start[b], face_start[b + 1]):
-        apart = False
-        for d in range(3):
-            if lower[f, d] > high[d] + reach or upper[f, d] < low[d] - reach:
-                apart = True
-        if not apart:
-            out[n] = f
-            n += 1
-    return n
+def _meets(lower, upper, low, high):
+    """Whether the box lower, upper meets the box low, high."""
+    for d in range(3):
+        if lower[d] > high[d] or upper[d] < low[d]:
+            return False
+    return True
+
+
+@kernel
+def _find(b, low, high, tree, lower, upper, out):
+    """Faces of block b whose box meets the box low, high, in ascending order: (`out` or a larger array, how many)."""
+    node_start, nodes, order, bounds = tree
+    n, i = 0, node_start[b]
+    while i < node_start[b + 1]:
+        if not _meets(bounds[i], bounds[i, 3:], low, high):
+            i = nodes[i, 0]
+            continue
+        for k in range(nodes[i, 1], nodes[i, 2] if nodes[i, 0] == i + 1 else nodes[i, 1]):
+            if _meets(lower[order[k]], upper[order[k]], low, high):
+                if n == len(out):
+                    out = np.concatenate((out, np.empty_like(out)))
+                out[n] = order[k]
+                n += 1
+        i += 1
+    if node_start[b + 1] > node_start[b] + 1:
+        out[:n].sort()
+    return out, n
 
 
 @kernel
@@ -244,26 +327,25 @@ def _highest(a, f, corner_start, corner_x, normal):
 
 
 @kernel
-def _around(rows, m, reach, face_start, lower, upper, out, n_out):
-    """Append to `out` the faces of block m within `reach` of the slave faces ``rows[:, 0]`` by their boxes."""
-    lo, hi = np.full(3, np.inf), np.full(3, -np.inf)
+def _around(rows, m, reach, convex, face_start, lower, upper, tree, found, out):
+    """Box `out` (2, 3) of the slave faces ``rows[:, 0]`` grown by their `reach`; infinite if all few faces count."""
+    out[0], out[1] = np.inf, -np.inf
     for a in rows[:, 0]:
         for d in range(3):
-            lo[d], hi[d] = min(lo[d], lower[a, d] - reach), max(hi[d], upper[a, d] + reach)
-    for g in range(face_start[m], face_start[m + 1] if len(rows) > 0 else face_start[m]):
-        if lower[g, 0] <= hi[0] and lower[g, 1] <= hi[1] and lower[g, 2] <= hi[2]:
-            if upper[g, 0] >= lo[0] and upper[g, 1] >= lo[1] and upper[g, 2] >= lo[2]:
-                if n_out == len(out):
-                    out = np.concatenate((out, np.empty_like(out)))
-                out[n_out] = g
-                n_out += 1
-    return out, n_out
+            out[0, d], out[1, d] = min(out[0, d], lower[a, d] - reach), max(out[1, d], upper[a, d] + reach)
+    few = face_start[m + 1] - face_start[m]
+    if len(rows) == 0 or few > FEW:
+        return found
+    found, n = _find(m, out[0], out[1], tree, lower, upper, found)
+    if convex or n == few:
+        out[0], out[1] = -np.inf, np.inf
+    return found
 
 
 @kernel
 def face_pairs(
-    slave, master, window, size, face_start, corner_start, limit, convex, corner_x, normal, lower, upper, block_lower,
-    block_upper,
+    slave, master, window, size, face_start, corner_start, limit, deep, convex, corner_x, normal, lower, upper,
+    block_lower, block_upper, lean, tree,
 ):  # fmt: skip
     """Faces of slaves and masters whose boxes are so near that a patch may exist.
 
@@ -274,58 +356,45 @@ def face_pairs(
     start : (n_pairs + 1,) int64
     faces : (n, 2) int32
         Slave and master face; sorted by pair, master face, slave face.
-    rival_start : (n_pairs + 1,) int64
-    rivals : (n,) int32
-        Faces of every pair's master that may be nearer than another: all of a convex one with few faces (its cells
-        are bounded by all its planes), else those near the slave.
+    around : (n_pairs, 2, 3)
+        Box [m] in which faces of the master may be nearer than another; infinite where all few of them count (cells of
+        convex blocks are bounded by all planes).
     """
     n_pairs, n_out = len(slave), 0
     start, out = np.zeros(n_pairs + 1, np.int64), np.empty((1024, 2), np.int32)
-    rival_start, rivals, n_rivals = np.zeros(n_pairs + 1, np.int64), np.empty(1024, np.int32), 0
+    around = np.empty((n_pairs, 2, 3))
+    near, found = np.empty(64, np.int32), np.empty(64, np.int32)
+    lo, hi, low, high = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for p in range(n_pairs):
         s, m, h = slave[p], master[p], window[p]
-        near_s = np.empty(face_start[s + 1] - face_start[s], np.int32)
-        k_s = _near_faces(s, block_lower[m], block_upper[m], h, lower, upper, face_start, near_s)
-        near_s = near_s[:k_s]
-        axis, widest, longest = 0, -1.0, 0.0
-        for d in range(3):
-            lo, hi = np.inf, -np.inf
-            for a in near_s:
-                lo, hi = min(lo, lower[a, d]), max(hi, upper[a, d])
-            if hi - lo > widest:
-                axis, widest = d, hi - lo
-        begin = np.empty(k_s)
-        for i in range(k_s):
-            begin[i] = lower[near_s[i], axis]
-            longest = max(longest, upper[near_s[i], axis] - begin[i])
-        order = np.argsort(begin, kind="mergesort")
-        begin, near_s = begin[order], near_s[order]
-        for f in range(face_start[m], face_start[m + 1] if k_s > 0 else face_start[m]):
-            deep = min(limit[f], size[p])  # a slave that is all inside is still in the cells of faces around it
-            far = 2.0 * (h + deep)
-            first = n_out
-            for i in range(np.searchsorted(begin, lower[f, axis] - far - longest), k_s):
-                a = near_s[i]
-                if begin[i] > upper[f, axis] + far:
-                    break
-                if not _overlap(lower, upper, a, f, far):
+        for d in range(3):  # no slave face outside counts
+            low[d], high[d], lo[d], hi[d] = block_lower[m, d] - h, block_upper[m, d] + h, np.inf, -np.inf
+        near, k = _find(s, low, high, tree, lower, upper, near)
+        far = 2.0 * (h + min(deep[m], size[p])) * (1.0 + 1e-9)
+        for a in near[:k]:
+            for d in range(3):
+                lo[d], hi[d] = min(lo[d], lower[a, d] - far), max(hi[d], upper[a, d] + far)
+        near, k = _find(m, lo, hi, tree, lower, upper, near)
+        for f in near[:k]:
+            depth = min(limit[f], size[p])  # a slave that is all inside is still in the cells of faces around it
+            far = 2.0 * (h + depth)
+            for d in range(3):
+                lo[d], hi[d] = lower[f, d] - far * lean[f, d], upper[f, d] + far * lean[f, d]
+            found, k_s = _find(s, lo, hi, tree, lower, upper, found)
+            for a in found[:k_s]:
+                if not _meets(lower[a], upper[a], low, high):
                     continue
-                high = _highest(a, f, corner_start, corner_x, normal)
-                if high < -h or not _overlap(lower, upper, a, f, 2.0 * (h + min(max(high, 0.0), deep))):
+                most = _highest(a, f, corner_start, corner_x, normal)
+                if most < -h or not _overlap(lower, upper, a, f, 2.0 * (h + min(max(most, 0.0), depth))):
                     continue
                 if n_out == len(out):
                     out = np.concatenate((out, np.empty_like(out)))
                 out[n_out, 0], out[n_out, 1] = a, f
                 n_out += 1
-            out[first:n_out, 0] = np.sort(out[first:n_out, 0])
         start[p + 1] = n_out
-        first, last = face_start[m], face_start[m + 1]
-        reach = max(4.0 * h, min(limit[first:last].max(), size[p])) + h
-        if convex[m] and last - first <= FEW:
-            reach = np.inf
-        rivals, n_rivals = _around(out[start[p] : n_out], m, reach, face_start, lower, upper, rivals, n_rivals)
-        rival_start[p + 1] = n_rivals
-    return start, out[:n_out], rival_start, rivals[:n_rivals]
+        reach = max(4.0 * h, min(deep[m], size[p])) + h
+        found = _around(out[start[p] : n_out], m, reach, convex[m], face_start, lower, upper, tree, found, around[p])
+    return start, out[:n_out], around
 
 
 @kernel

@@ -9,6 +9,7 @@ on it, so that no sliver can arise.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import atan2
 
 import numpy as np
 
@@ -194,7 +195,7 @@ def _caps(pool: Pool, faces: Iterable[Face], d: dict[int, float], normal: Point)
     around: dict[tuple[int, int], list[tuple[float, bool]]] = {}
     for face in faces:
         signs = [d[v] for v in face.loop]
-        for k, b in enumerate(face.loop):
+        for k, b in enumerate(face.loop if signs.count(0.0) > 1 else ()):
             a = face.loop[k - 1]
             if d[a] != 0.0 or d[b] != 0.0:
                 continue
@@ -206,7 +207,7 @@ def _caps(pool: Pool, faces: Iterable[Face], d: dict[int, float], normal: Point)
             if max(signs) > 0.0 or min(signs) < 0.0:
                 # a face that is off the plane stays so, whatever the round-off
                 up = abs(dot(into, normal)) * (1.0 if max(signs) > 0.0 else -1.0)
-                angle = float(np.arctan2(up, left * dot(axis, axis) ** -0.5))
+                angle = atan2(up, left * dot(axis, axis) ** -0.5)
             else:
                 angle = 0.0 if left > 0.0 else np.pi
             around.setdefault(key, []).append((angle, a < b))
@@ -234,6 +235,22 @@ def _folded(pool: Pool, loop: list[int]) -> bool:
     return False
 
 
+def _hang_together(faces: list[Face]) -> bool:
+    """Whether every face is reached from the first one over edges of two faces (False: one has to look closer)."""
+    owner = {(face.loop[k - 1], b): i for i, face in enumerate(faces) for k, b in enumerate(face.loop)}
+    if not faces or len(owner) < sum(len(face.loop) for face in faces):
+        return False
+    reached, stack = {0}, [0]
+    while stack and len(reached) < len(faces):
+        loop = faces[stack.pop()].loop
+        for k, b in enumerate(loop):
+            i = owner.get((b, loop[k - 1]), 0)
+            if i not in reached:
+                reached.add(i)
+                stack.append(i)
+    return len(reached) == len(faces)
+
+
 def components(pool: Pool, faces: list[Face]) -> list[list[Face]]:
     """Connected solids of a closed surface.
 
@@ -249,6 +266,8 @@ def components(pool: Pool, faces: list[Face]) -> list[list[Face]]:
     MeshError
         If a part of the surface is a cavity.
     """
+    if _hang_together(faces):
+        return [faces]
     directed: dict[tuple[int, int], list[int]] = {}
     for i, face in enumerate(faces):
         for k, b in enumerate(face.loop):
