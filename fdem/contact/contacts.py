@@ -313,6 +313,7 @@ class Contacts:
         self._tolerance = tolerance
         self._depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
         self._partner: Ints | None = None
+        self._walled = False  # whether cells meet on a slave face; known with the partners
         self._close_arguments = (p.gp, p.start, p.corners, p.offset, p.flags, p.limit, p.ref_points, p.ref_ratio)
         self._closed = (self._area, self._gap, self._depth, face_normal)
         self._face_normal = face_normal

@@ -178,19 +178,14 @@ def cut_pairs(
     )  # fmt: skip
     key, corners, margin, miss, miss_face, too_deep = clipping.clip_faces(
         *near, master[which], window[which], size, most, int(np.diff(s.corner_start).max()), s.face_start,
-        s.corner_start, s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind,
-        g.lower, g.upper,
+        s.corner_start, s.corner_w, s.ref, s.limit, None if s.convex.all() else s.convex, s.affine, s.open, x,
+        g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper,
     )  # fmt: skip
     local, face_s, face_m = np.ascontiguousarray(key[:, :3].T)
     start = np.r_[0, key[:, 3]].astype(np.int32)
     n = len(local)
     bare = np.flatnonzero(np.bincount(local, minlength=len(which)) == 0)
-    lost = np.zeros(len(bare), np.uint8)
-    faces.swallowed(
-        slave[which[bare]], master[which[bare]], g.block_lower, g.block_upper, s.face_start, s.corner_start, g.corner_x,
-        s.open, lost,
-    )  # fmt: skip
-    too_deep[bare] |= lost
+    too_deep[bare] |= _swallowed(s, g, slave[which[bare]], master[which[bare]])
     pair = which[local].astype(np.int32)
     gp = np.column_stack([s.ref[face_s, :3], s.ref[face_m]]).astype(np.int32)
     p = Patches.none(memory)
@@ -230,12 +225,28 @@ def cut_pairs(
     ghosts = _ghosts(s, which, empty, miss_face, nearest + TRAVEL * travel, x, p, local, dropped, area, depth)
     ids = np.flatnonzero(keep)
     p = p.take(ids) if len(ids) < n else p
-    # where corners meet, two places agree within what merging faces moves them
-    upkeep.clusters(p.pair, align[ids] > ALIGNED, p.gp, p.start, p.corners, x, TOUCH * s.size[slave], p.cluster)
+    _find_clusters(s, p, align[ids] > ALIGNED, x, slave)
     kernels.weights_at(p.gp, s.has_behind[p.face_m], p.ref_points, x, p.w_clip)
     return Cut(
         p, ghosts, which[too_deep == 1], area[ids], closed[ids], align[ids], depth[ids], plane_depth[ids], centre[ids]
     )
+
+
+def _swallowed(s: Surfaces, g: FaceGeometry, slave: Ints, master: Ints) -> NDArray[np.uint8]:
+    """1 for pairs (n,) uint8 one block of which lies inside the other."""
+    lost = np.zeros(len(slave), np.uint8)
+    if len(slave):
+        faces.swallowed(
+            slave, master, g.block_lower, g.block_upper, s.face_start, s.corner_start, g.corner_x, s.open, lost
+        )
+    return lost
+
+
+def _find_clusters(s: Surfaces, p: Patches, aligned: Any, x: Array, slave: Ints) -> None:
+    """Number the sets of patches that hang together, in pairs of several patches that are not all `aligned` (n,)."""
+    if (~(aligned[1:] & aligned[:-1]) & (p.pair[1:] == p.pair[:-1])).any():
+        # where corners meet, two places agree within what merging faces moves them
+        upkeep.clusters(p.pair, aligned, p.gp, p.start, p.corners, x, TOUCH * s.size[slave], p.cluster)
 
 
 def _slide(volume: Any, size: Array) -> Array:
@@ -251,10 +262,11 @@ def _normal_reach(
     """How far [m] every patch may go into its master face before its pair is cut anew; `local` (n,): its pair."""
     area, closed, _, depth = sizes
     # until a strip that was left out comes to weigh
-    latent = np.full(len(travel), np.inf)
-    footprints.latent_reach(
-        local, keep | facing, p.start, p.corners, plane_depth - p.offset, area, p.ref_ratio, level, latent
-    )
+    latent, skip = np.full(len(travel), np.inf), keep | facing
+    if (~skip & (area > level[local])).any():
+        footprints.latent_reach(
+            local, skip, p.start, p.corners, plane_depth - p.offset, area, p.ref_ratio, level, latent
+        )
     latent = np.maximum(latent, LATENT_TRAVEL * travel)
     # a strip gains closed area as the pair slides into it: no more force than TRAVEL of the pair's
     volume = np.bincount(local[facing], 0.5 * (closed * np.maximum(depth, 0.0))[facing], len(travel))

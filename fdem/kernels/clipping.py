@@ -23,6 +23,12 @@ FALSE_DEPTH = 1e-6  # of the size: pieces deeper than this must prove that they 
 
 
 @kernel
+def _longer(rows):
+    """Twice as many; those there are keep their place."""
+    return np.concatenate((rows, np.empty_like(rows)))
+
+
+@kernel
 def _copy(source, n, target):
     """Copy n corners."""
     for i in range(n):
@@ -116,27 +122,22 @@ def _middle(poly, n, xs, out):
 def _distance2(o, g, corner_start, corner_x, normal):
     """Square of the distance of the point `o` from the convex polygon g [m^2]."""
     first, last = corner_start[g], corner_start[g + 1]
+    nx, ny, nz = normal[g, 0], normal[g, 1], normal[g, 2]
     best = np.inf
     over = True
     for c in range(first, last):
         k = c + 1 if c + 1 < last else first
         ex, ey, ez = corner_x[k, 0] - corner_x[c, 0], corner_x[k, 1] - corner_x[c, 1], corner_x[k, 2] - corner_x[c, 2]
         dx, dy, dz = o[0] - corner_x[c, 0], o[1] - corner_x[c, 1], o[2] - corner_x[c, 2]
-        turn = (
-            normal[g, 0] * (ey * dz - ez * dy) + normal[g, 1] * (ez * dx - ex * dz) + normal[g, 2] * (ex * dy - ey * dx)
-        )
-        if turn < 0.0:
+        if nx * (ey * dz - ez * dy) + ny * (ez * dx - ex * dz) + nz * (ex * dy - ey * dx) < 0.0:
             over = False
             t = (ex * dx + ey * dy + ez * dz) / (ex * ex + ey * ey + ez * ez)
             t = min(max(t, 0.0), 1.0)
             rx, ry, rz = dx - t * ex, dy - t * ey, dz - t * ez
             best = min(best, rx * rx + ry * ry + rz * rz)
     if over:
-        d = (
-            normal[g, 0] * (o[0] - corner_x[first, 0])
-            + normal[g, 1] * (o[1] - corner_x[first, 1])
-            + normal[g, 2] * (o[2] - corner_x[first, 2])
-        )
+        dx, dy, dz = o[0] - corner_x[first, 0], o[1] - corner_x[first, 1], o[2] - corner_x[first, 2]
+        d = nx * dx + ny * dy + nz * dz
         best = d * d
     return best
 
@@ -162,7 +163,7 @@ def _upright(f, c, xs, corner_start, corner_x, normal, out):
 
 
 @kernel
-def _own_cell(f, xs, poly, count, snap, convex, corner_start, corner_x, normal, wall, kind, bufs, work, tmp):
+def _own_cell(f, xs, poly, count, snap, convex, bent, corner_start, corner_x, normal, wall, kind, bufs, work, tmp):
     """Split `poly[:count]` into the pieces inside R_f; returns their number, margin and miss; counts go to `work`.
 
     Margin: distance to the nearest wall that did not cut; miss: how far outside an emptied polygon lies.
@@ -171,7 +172,7 @@ def _own_cell(f, xs, poly, count, snap, convex, corner_start, corner_x, normal, 
     margin, miss = np.inf, np.inf
     first, last = corner_start[f], corner_start[f + 1]
     for c in range(first, last):
-        if kind[c] == BORDER or (kind[c] == SHARP and not convex):
+        if kind[c] == BORDER or (kind[c] == SHARP and bent):
             continue
         _plane_values(wall[c], corner_x[c], xs, v)
         low, high = _extremes(poly, count, v[0], v[1], v[2])
@@ -184,7 +185,7 @@ def _own_cell(f, xs, poly, count, snap, convex, corner_start, corner_x, normal, 
     _copy(poly, count, bufs[0])
     work[0] = count
     n_pieces = 1
-    if convex:
+    if convex is None or not bent:
         return n_pieces, margin, miss
     vertical = np.empty(3)
     for c in range(first, last):
@@ -293,7 +294,8 @@ def _rival(
 def _bounds(bufs, work, n_pieces, xs, df, box):
     """Box (2, 3) of all pieces [m]; returns the largest depth."""
     deepest = -np.inf
-    box[0], box[1] = np.inf, -np.inf
+    for d in range(3):
+        box[0, d], box[1, d] = np.inf, -np.inf
     for q in range(n_pieces):
         for i in range(work[q]):
             w1, w2 = bufs[q, i, 0], bufs[q, i, 1]
@@ -307,7 +309,7 @@ def _bounds(bufs, work, n_pieces, xs, df, box):
 
 @kernel
 def _rivals(
-    f, around, xs, df, h, snap, n_pieces, convex, affine, all_faces, corner_start, corner_x, normal, wall, kind,
+    f, around, xs, df, h, snap, n_pieces, convex, bent, affine, all_faces, corner_start, corner_x, normal, wall, kind,
     lower, upper, bufs, work, tmp, part, dg, v, o, box,
 ):  # fmt: skip
     """Take away what the faces `around` of the master are nearer to; number of pieces, margin, miss as `_own_cell`."""
@@ -327,7 +329,7 @@ def _rivals(
         _plane_values(normal[g], corner_x[corner_start[g]], xs, dg)
         for k in range(3):
             dg[k] = -dg[k]
-        if convex:
+        if convex is None or not bent:
             length = math.sqrt(2.0 - 2.0 * cosine)
             v[0], v[1], v[2] = (dg[0] - df[0]) / length, (dg[1] - df[1]) / length, (dg[2] - df[2]) / length
             low, high = _extremes(bufs[0], work[0], v[0], v[1], v[2])
@@ -392,9 +394,8 @@ def _owns(f, b, part, n, xs, df, affine, face_start, corner_start, corner_x, nor
             continue
         gap2 = 0.0
         for d in range(3):
-            gap = max(lower[g, d] - o[d], o[d] - upper[g, d])
-            if gap > 0.0:
-                gap2 += gap * gap
+            gap = max(lower[g, d] - o[d], o[d] - upper[g, d], 0.0)
+            gap2 += gap * gap
         if gap2 < depth * depth:
             d2 = _distance2(o, g, corner_start, corner_x, normal)
             if d2 < r2:
@@ -407,8 +408,8 @@ def _owns(f, b, part, n, xs, df, affine, face_start, corner_start, corner_x, nor
 
 @kernel
 def _within_limit(
-    f, m, xs, df, deep, poly, count, least, smallest, snap, prove, affine, face_start, corner_start, corner_x, normal,
-    lower, upper, part, tmp, o,
+    f, m, xs, df, deep, poly, count, least, smallest, snap, convex, prove, affine, face_start, corner_start, corner_x,
+    normal, lower, upper, part, tmp, o,
 ):  # fmt: skip
     """Cut away what is deeper than `deep` or does not belong to f; corners left, and whether there was too much depth.
 
@@ -420,13 +421,13 @@ def _within_limit(
         _copy(poly, count, part)
         rest = _cut(part, count, df[0] - deep, df[1] - deep, df[2] - deep, snap, tmp)
         if rest > 0 and _ratio(part, rest) > smallest:
-            if not prove or _owns(
+            if convex is None or not prove or _owns(
                 f, m, part, rest, xs, df, affine, face_start, corner_start, corner_x, normal, lower, upper, o
-            ):
+            ):  # fmt: skip
                 answer = 1
         count = _cut(poly, count, deep - df[0], deep - df[1], deep - df[2], snap, tmp)
         high = deep
-    if prove and count > 0 and high > least:
+    if convex is not None and prove and count > 0 and high > least:
         _copy(poly, count, part)
         low = 0.5 * high
         rest = _cut(part, count, df[0] - low, df[1] - low, df[2] - low, snap, tmp)
@@ -477,6 +478,7 @@ def clip_faces(
     | master | (n_pairs,) | - | block ids |
     | window | (n_pairs,) | m | patches are made up to this gap |
     | size, most | (n_pairs,) | m | size of the smaller block, largest depth that either block admits |
+    | convex | (n_blocks,) | - | or None if all are: what only others need is not compiled then |
     | others | | | arrays of `Surfaces` and `FaceGeometry` |
 
     Returns
@@ -500,10 +502,11 @@ def clip_faces(
     key, margins, corners = np.empty((64, 4), np.int32), np.empty(64), np.empty((512, 2))
     miss, miss_face = np.full(n_pairs, np.inf), np.full((n_pairs, 2), -1, np.int32)
     too_deep = np.zeros(n_pairs, np.uint8)
-    n_out, n_corners = 0, 0
+    n_out, n_corners = 0, np.int64(0)
     for p in range(n_pairs):
         m, h, snap = master[p], window[p], SNAP * size[p]
-        prove = not convex[m] and not is_open[m]
+        bent = convex is not None and not convex[m]
+        prove = bent and not is_open[m]
         around = rivals[rival_start[p] : rival_start[p + 1]]
         all_faces = len(around) == face_start[m + 1] - face_start[m]
         for row in range(pair_start[p], pair_start[p + 1]):
@@ -512,23 +515,23 @@ def clip_faces(
             if count == 0:
                 continue
             n_pieces, margin, lost = _own_cell(
-                f, xs, poly, count, snap, convex[m], corner_start, corner_x, normal, wall, kind, bufs, work, tmp
+                f, xs, poly, count, snap, convex, bent, corner_start, corner_x, normal, wall, kind, bufs, work, tmp
             )
             if n_pieces > 0:
                 n_pieces, nearest, lost = _rivals(
-                    f, around, xs, df, h, snap, n_pieces, convex[m], affine[m], all_faces, corner_start, corner_x,
+                    f, around, xs, df, h, snap, n_pieces, convex, bent, affine[m], all_faces, corner_start, corner_x,
                     normal, wall, kind, lower, upper, bufs, work, tmp, part, dg, v, o, box,
                 )  # fmt: skip
                 margin = min(margin, nearest)
             if n_pieces == 0 and lost < miss[p]:
                 miss[p] = lost
                 miss_face[p, 0], miss_face[p, 1] = a, f
-            smallest = 1e-12 * size[p] * size[p] / area
+            smallest, least = 1e-12 * size[p] * size[p] / area, FALSE_DEPTH * size[p]
             for q in range(n_pieces):
                 count, answer = 0, 0
                 if work[q] > 0:
                     count, answer = _within_limit(
-                        f, m, xs, df, min(limit[f], most[p]), bufs[q], work[q], FALSE_DEPTH * size[p], smallest, snap,
+                        f, m, xs, df, min(limit[f], most[p]), bufs[q], work[q], least, smallest, snap, convex,
                         prove, affine[m], face_start, corner_start, corner_x, normal, lower, upper, part, tmp, o,
                     )  # fmt: skip
                 if answer == 1:
@@ -536,11 +539,10 @@ def clip_faces(
                 if count == 0 or not _ratio(bufs[q], count) > smallest:
                     continue
                 if n_out == len(key):
-                    key = np.concatenate((key, np.empty_like(key)))
-                    margins = np.concatenate((margins, np.empty_like(margins)))
+                    key, margins = _longer(key), _longer(margins)
                 while n_corners + count > len(corners):
-                    corners = np.concatenate((corners, np.empty_like(corners)))
-                corners[n_corners : n_corners + count] = bufs[q, :count]
+                    corners = _longer(corners)
+                _copy(bufs[q], count, corners[n_corners:])
                 n_corners += count
                 key[n_out, 0], key[n_out, 1], key[n_out, 2], key[n_out, 3] = p, a, f, n_corners
                 margins[n_out] = margin if answer == 0 else 0.0

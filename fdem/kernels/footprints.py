@@ -277,6 +277,13 @@ def along_edges(
 
 
 @kernel
+def _copy(source, target):
+    """Three points."""
+    for q in range(3):
+        target[q, 0], target[q, 1] = source[q, 0], source[q, 1]
+
+
+@kernel
 def closed_points(gp, start, corners, offset, bonded, ref_points, ref_ratio, x, points, active, area):
     """Points (n, 3, 2) and area (n,) [m2] of the parts closed in `x`; all of a polygon where `bonded` (n,) is set."""
     longest = 3
@@ -297,12 +304,12 @@ def closed_points(gp, start, corners, offset, bonded, ref_points, ref_ratio, x, 
             low = min(low, depth[0] * (1.0 - w1 - w2) + depth[1] * w1 + depth[2] * w2)
         active[i] = 1
         ratio = ref_ratio[i]
-        points[i] = ref_points[i]
+        _copy(ref_points[i], points[i])
         if low < 0.0 and not bonded[i]:
             n = _close(corners, start[i], start[i + 1], depth[0], depth[1], depth[2], poly)
             ratio = _moment_points(poly, n, pts) if n >= 3 else 0.0
             if ratio > 0.0:
-                points[i] = pts
+                _copy(pts, points[i])
             else:
                 active[i] = 0
         area[i] = 0.5 * double * max(ratio, 0.0)

@@ -134,6 +134,16 @@ def _extent(f, b, p, face_start, corner_start, corner_x, normal):
 
 
 @kernel
+def _middle(corner_x, first, n, out):
+    """Mean (3,) [m] of the `n` corners from `first`."""
+    for d in range(3):
+        total = 0.0
+        for c in range(first, first + n):
+            total += corner_x[c, d]
+        out[d] = total / n
+
+
+@kernel
 def thickness(face_start, corner_start, corner_x, normal, convex, is_open, out):
     """Thickness of the block behind every face [m]: extent of a convex block, else along the ray from the centroid."""
     o, y = np.empty(3), np.empty(3)
@@ -143,8 +153,7 @@ def thickness(face_start, corner_start, corner_x, normal, convex, is_open, out):
                 out[f] = np.inf
                 continue
             first, last = corner_start[f], corner_start[f + 1]
-            for d in range(3):
-                o[d] = corner_x[first, d] if convex[b] else np.mean(corner_x[first:last, d])
+            _middle(corner_x, first, 1 if convex[b] else last - first, o)
             hit = np.inf
             for g in range(face_start[b], face_start[b + 1]):
                 slope, height, a = 0.0, 0.0, corner_start[g]
@@ -177,8 +186,7 @@ def deepest(face_start, corner_start, corner_x, normal, convex, is_open, out):
         out[b] = np.inf if is_open[b] else 0.0
         first, last = face_start[b], face_start[b + 1]
         for f in range(last if is_open[b] else first, last, max(1, (last - first) // 200)):
-            for d in range(3):
-                o[d] = np.mean(corner_x[corner_start[f] : corner_start[f + 1], d])
+            _middle(corner_x, corner_start[f], corner_start[f + 1] - corner_start[f], o)
             radius = np.inf
             for g in range(first, last):
                 a, z = corner_start[g], corner_start[g + 1]
@@ -244,20 +252,88 @@ def _highest(a, f, corner_start, corner_x, normal):
 
 
 @kernel
-def _around(rows, m, reach, face_start, lower, upper, out, n_out):
-    """Append to `out` the faces of block m within `reach` of the slave faces ``rows[:, 0]`` by their boxes."""
-    lo, hi = np.full(3, np.inf), np.full(3, -np.inf)
-    for a in rows[:, 0]:
+def _longer(rows):
+    """Twice as many rows; those there are keep their place."""
+    return np.concatenate((rows, np.empty_like(rows)))
+
+
+@kernel
+def _around(rows, first, last, m, reach, face_start, lower, upper, lo, hi, out, n_out):
+    """Append to `out` the faces of block m within `reach` of the slave faces ``rows[first:last, 0]`` by their boxes."""
+    for d in range(3):
+        lo[d], hi[d] = np.inf, -np.inf
+    for row in range(first, last):
+        a = rows[row, 0]
         for d in range(3):
             lo[d], hi[d] = min(lo[d], lower[a, d] - reach), max(hi[d], upper[a, d] + reach)
-    for g in range(face_start[m], face_start[m + 1] if len(rows) > 0 else face_start[m]):
+    for g in range(face_start[m], face_start[m + 1] if last > first else face_start[m]):
         if lower[g, 0] <= hi[0] and lower[g, 1] <= hi[1] and lower[g, 2] <= hi[2]:
             if upper[g, 0] >= lo[0] and upper[g, 1] >= lo[1] and upper[g, 2] >= lo[2]:
                 if n_out == len(out):
-                    out = np.concatenate((out, np.empty_like(out)))
+                    out = _longer(out)
                 out[n_out] = g
                 n_out += 1
     return out, n_out
+
+
+@kernel
+def _order(key, n, order, spare):
+    """Sort ``key[:n]``, equal ones as they are: `order` (n,) tells where each was. Merges; `spare` (n,) is scratch."""
+    for i in range(n):
+        order[i] = i
+    width = 1
+    while width < n:
+        for first in range(0, n, 2 * width):
+            i, middle, last = first, min(first + width, n), min(first + 2 * width, n)
+            j = middle
+            for k in range(first, last):
+                if j == last or (i < middle and key[order[i]] <= key[order[j]]):
+                    spare[k] = order[i]
+                    i += 1
+                else:
+                    spare[k] = order[j]
+                    j += 1
+        for k in range(n):
+            order[k] = spare[k]
+        width *= 2
+
+
+@kernel
+def _along(near, n, lower, upper, begin, key, order, spare):
+    """Sort the faces ``near[:n]`` by the lower end `begin` of their boxes along the axis of their largest spread.
+
+    Returns the axis and the length of the longest box along it [m].
+    """
+    axis, widest, longest = 0, -1.0, 0.0
+    for d in range(3):
+        lo, hi = np.inf, -np.inf
+        for i in range(n):
+            lo, hi = min(lo, lower[near[i], d]), max(hi, upper[near[i], d])
+        if hi - lo > widest:
+            axis, widest = d, hi - lo
+    for i in range(n):
+        key[i] = lower[near[i], axis]
+        longest = max(longest, upper[near[i], axis] - key[i])
+    _order(key, n, order, spare)
+    for i in range(n):
+        begin[i] = key[order[i]]
+        spare[i] = near[order[i]]
+    for i in range(n):
+        near[i] = spare[i]
+    return axis, longest
+
+
+@kernel
+def _first(begin, n, value):
+    """How many of the ascending ``begin[:n]`` are less than `value`."""
+    lo, hi = 0, n
+    while lo < hi:
+        middle = (lo + hi) // 2
+        if begin[middle] < value:
+            lo = middle + 1
+        else:
+            hi = middle
+    return lo
 
 
 @kernel
@@ -279,33 +355,28 @@ def face_pairs(
         Faces of every pair's master that may be nearer than another: all of a convex one with few faces (its cells
         are bounded by all its planes), else those near the slave.
     """
-    n_pairs, n_out = len(slave), 0
+    n_pairs, room = len(slave), 0
+    n_out, n_rivals = np.int64(0), np.int64(0)  # not literals, for which numba would compile the helpers once more
     start, out = np.zeros(n_pairs + 1, np.int64), np.empty((1024, 2), np.int32)
-    rival_start, rivals, n_rivals = np.zeros(n_pairs + 1, np.int64), np.empty(1024, np.int32), 0
+    rival_start, rivals = np.zeros(n_pairs + 1, np.int64), np.empty(1024, np.int32)
+    for p in range(n_pairs):
+        room = max(room, face_start[slave[p] + 1] - face_start[slave[p]])
+    near, order, spare = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
+    begin, key, ends = np.empty(room), np.empty(room), np.empty((2, 3))
     for p in range(n_pairs):
         s, m, h = slave[p], master[p], window[p]
-        near_s = np.empty(face_start[s + 1] - face_start[s], np.int32)
-        k_s = _near_faces(s, block_lower[m], block_upper[m], h, lower, upper, face_start, near_s)
-        near_s = near_s[:k_s]
-        axis, widest, longest = 0, -1.0, 0.0
-        for d in range(3):
-            lo, hi = np.inf, -np.inf
-            for a in near_s:
-                lo, hi = min(lo, lower[a, d]), max(hi, upper[a, d])
-            if hi - lo > widest:
-                axis, widest = d, hi - lo
-        begin = np.empty(k_s)
-        for i in range(k_s):
-            begin[i] = lower[near_s[i], axis]
-            longest = max(longest, upper[near_s[i], axis] - begin[i])
-        order = np.argsort(begin, kind="mergesort")
-        begin, near_s = begin[order], near_s[order]
-        for f in range(face_start[m], face_start[m + 1] if k_s > 0 else face_start[m]):
+        n = _near_faces(s, block_lower[m], block_upper[m], h, lower, upper, face_start, near)
+        axis, longest = _along(near, n, lower, upper, begin, key, order, spare)
+        widest = 0.0
+        for f in range(face_start[m], face_start[m + 1]):
+            widest = max(widest, limit[f])
+            if n == 0:
+                break
             deep = min(limit[f], size[p])  # a slave that is all inside is still in the cells of faces around it
             far = 2.0 * (h + deep)
             first = n_out
-            for i in range(np.searchsorted(begin, lower[f, axis] - far - longest), k_s):
-                a = near_s[i]
+            for i in range(_first(begin, n, lower[f, axis] - far - longest), n):
+                a = near[i]
                 if begin[i] > upper[f, axis] + far:
                     break
                 if not _overlap(lower, upper, a, f, far):
@@ -314,16 +385,21 @@ def face_pairs(
                 if high < -h or not _overlap(lower, upper, a, f, 2.0 * (h + min(max(high, 0.0), deep))):
                     continue
                 if n_out == len(out):
-                    out = np.concatenate((out, np.empty_like(out)))
+                    out = _longer(out)
                 out[n_out, 0], out[n_out, 1] = a, f
                 n_out += 1
-            out[first:n_out, 0] = np.sort(out[first:n_out, 0])
+            for i in range(first, n_out):
+                key[i - first] = out[i, 0]
+            _order(key, n_out - first, order, spare)
+            for i in range(first, n_out):
+                out[i, 0] = int(key[order[i - first]])
         start[p + 1] = n_out
-        first, last = face_start[m], face_start[m + 1]
-        reach = max(4.0 * h, min(limit[first:last].max(), size[p])) + h
-        if convex[m] and last - first <= FEW:
+        reach = max(4.0 * h, min(widest, size[p])) + h
+        if convex[m] and face_start[m + 1] - face_start[m] <= FEW:
             reach = np.inf
-        rivals, n_rivals = _around(out[start[p] : n_out], m, reach, face_start, lower, upper, rivals, n_rivals)
+        rivals, n_rivals = _around(
+            out, start[p], n_out, m, reach, face_start, lower, upper, ends[0], ends[1], rivals, n_rivals
+        )
         rival_start[p + 1] = n_rivals
     return start, out[:n_out], rival_start, rivals[:n_rivals]
 
