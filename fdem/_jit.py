@@ -17,7 +17,7 @@ def _numba() -> Any:
     import numba
     from numba.core import event
 
-    class Pause(event.Listener):
+    class Pause(event.Listener):  # type: ignore[misc]
         depth, was_on = 0, True
 
         def on_start(self, _: Any) -> None:
