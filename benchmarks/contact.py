@@ -120,7 +120,7 @@ def clip(name: str, body: object, edge: float) -> None:
     size = np.minimum(s.size[c.slave], s.size[c.master])
     near = geometry.face_pairs(
         c.slave, c.master, c._window, size, s.face_start, s.corner_start, s.limit, s.convex, g.corner_x, g.normal,
-        g.lower, g.upper, g.block_lower, g.block_upper,
+        g.lower, g.upper, g.block_lower, g.block_upper, s.many,
     )  # fmt: skip
     most, corners = np.minimum(s.most[c.slave], s.most[c.master]), int(np.diff(s.corner_start).max())
     offsets = known_offsets(c.patches, s.n_faces, g)
@@ -128,7 +128,7 @@ def clip(name: str, body: object, edge: float) -> None:
     def clipped() -> None:
         clipping.clip_faces(
             *near, c.master, c._window, size, most, corners, s.face_start, s.corner_start, s.corner_w, s.ref, s.limit,
-            s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper,
+            s.mixed, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper,
         )  # fmt: skip
 
     def cut() -> None:

@@ -26,6 +26,7 @@ SHARP_ZONED = 0.9  # cosine above which two zone triangles count as one smooth s
 SHARP_AFFINE = 1.0 - 1e-12
 DEPTH_FRACTION = 0.25  # of the local thickness: where contact stops being a boundary phenomenon
 ROOM_FRACTION = 0.5  # of the depth of the deepest point, which is half the thickness between parallel faces
+FEW = 32  # faces of a block up to which sorting them pays for nothing
 LEAST_DEPTH = 0.01  # of the block size: depth admitted even behind a facet at the tip of a wedge
 
 
@@ -137,6 +138,16 @@ class Surfaces:
         """Number of faces."""
         return len(self.face_block)
 
+    @property
+    def mixed(self) -> NDArray[np.uint8] | None:
+        """`convex`; None if all blocks are: kernels then leave out what only others need, compiled code too."""
+        return None if self.convex.all() else self.convex
+
+    @property
+    def many(self) -> int | None:
+        """1, None if all blocks have few faces (`kernels.face_pairs`)."""
+        return 1 if np.diff(self.face_start).max(initial=0) > FEW else None
+
     @classmethod
     def build(cls, blocks: Sequence[BlockSurface], x: Array) -> Surfaces:
         """Make the faces of all blocks.
@@ -216,7 +227,7 @@ class Surfaces:
             self.corner_start,
             geo.corner_x,
             geo.normal,
-            self.convex,
+            self.mixed,
             self.open,
             self.limit,
         )
@@ -227,7 +238,7 @@ class Surfaces:
         self.limit *= DEPTH_FRACTION
         # behind the faces of a tetrahedron no point is as deep as a quarter of its height
         kernels.deepest(
-            self.face_start, self.corner_start, geo.corner_x, geo.normal, self.convex, self.open, self.room
+            self.face_start, self.corner_start, geo.corner_x, geo.normal, self.mixed, self.open, self.room
         )  # fmt: skip
         least = LEAST_DEPTH * np.where(np.isfinite(self.size), self.size, 0.0)
         self.most[:] = np.maximum(ROOM_FRACTION * self.room, least)

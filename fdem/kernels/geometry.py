@@ -145,7 +145,10 @@ def _middle(corner_x, first, n, out):
 
 @kernel
 def thickness(face_start, corner_start, corner_x, normal, convex, is_open, out):
-    """Thickness of the block behind every face [m]: extent of a convex block, else along the ray from the centroid."""
+    """Thickness of the block behind every face [m]: extent of a convex block, else along the ray from the centroid.
+
+    `convex`: None if all blocks are.
+    """
     o, y = np.empty(3), np.empty(3)
     for b in range(len(face_start) - 1):
         for f in range(face_start[b], face_start[b + 1]):
@@ -153,8 +156,11 @@ def thickness(face_start, corner_start, corner_x, normal, convex, is_open, out):
                 out[f] = np.inf
                 continue
             first, last = corner_start[f], corner_start[f + 1]
-            _middle(corner_x, first, 1 if convex[b] else last - first, o)
+            _middle(corner_x, first, 1 if convex is None or convex[b] else last - first, o)
             hit = np.inf
+            if convex is None:
+                out[f] = _extent(f, b, o, face_start, corner_start, corner_x, normal)
+                continue
             for g in range(face_start[b], face_start[b + 1]):
                 slope, height, a = 0.0, 0.0, corner_start[g]
                 for d in range(3):
@@ -179,7 +185,8 @@ def deepest(face_start, corner_start, corner_x, normal, convex, is_open, out):
     """Depth (n_blocks,) [m] a point of every block can have: of the largest ball that touches a face at its middle.
 
     The ball grows until it meets the plane of another face, or one of its corners (blocks that are not convex: only
-    where it touches the face itself). A lower bound for convex blocks; of 200 faces in large surfaces.
+    where it touches the face itself). A lower bound for convex blocks; of 200 faces in large surfaces. `convex`: None
+    if all blocks are.
     """
     o, y = np.empty(3), np.empty(3)
     for b in range(len(face_start) - 1):
@@ -199,9 +206,12 @@ def deepest(face_start, corner_start, corner_x, normal, convex, is_open, out):
                 t = height / (1.0 - slope)
                 for d in range(3):
                     y[d] = o[d] + t * (normal[g, d] - normal[f, d])
-                if t < radius and (convex[b] or (t > 0.0 and _above(y, g, corner_start, corner_x, normal))):
+                if convex is None or convex[b]:
+                    radius = t if t < radius else radius
+                    continue
+                if t > 0.0 and t < radius and _above(y, g, corner_start, corner_x, normal):
                     radius = t
-                for c in range(a, z if not convex[b] else a):
+                for c in range(a, z):
                     below, square = 0.0, 0.0
                     for d in range(3):
                         below += normal[f, d] * (o[d] - corner_x[c, d])
@@ -339,11 +349,12 @@ def _first(begin, n, value):
 @kernel
 def face_pairs(
     slave, master, window, size, face_start, corner_start, limit, convex, corner_x, normal, lower, upper, block_lower,
-    block_upper,
+    block_upper, many,
 ):  # fmt: skip
     """Faces of slaves and masters whose boxes are so near that a patch may exist.
 
-    Parameters as in `clipping.clip_faces`.
+    Parameters as in `clipping.clip_faces`; `many`: 1, or None if all blocks have few faces, of which all are looked at
+    without sorting them (which is not compiled then).
 
     Returns
     -------
@@ -366,7 +377,8 @@ def face_pairs(
     for p in range(n_pairs):
         s, m, h = slave[p], master[p], window[p]
         n = _near_faces(s, block_lower[m], block_upper[m], h, lower, upper, face_start, near)
-        axis, longest = _along(near, n, lower, upper, begin, key, order, spare)
+        if many is not None:
+            axis, longest = _along(near, n, lower, upper, begin, key, order, spare)
         widest = 0.0
         for f in range(face_start[m], face_start[m + 1]):
             widest = max(widest, limit[f])
@@ -374,10 +386,12 @@ def face_pairs(
                 break
             deep = min(limit[f], size[p])  # a slave that is all inside is still in the cells of faces around it
             far = 2.0 * (h + deep)
-            first = n_out
-            for i in range(_first(begin, n, lower[f, axis] - far - longest), n):
+            first, low = n_out, 0
+            if many is not None:
+                low = _first(begin, n, lower[f, axis] - far - longest)
+            for i in range(low, n):
                 a = near[i]
-                if begin[i] > upper[f, axis] + far:
+                if many is not None and begin[i] > upper[f, axis] + far:
                     break
                 if not _overlap(lower, upper, a, f, far):
                     continue
@@ -388,11 +402,12 @@ def face_pairs(
                     out = _longer(out)
                 out[n_out, 0], out[n_out, 1] = a, f
                 n_out += 1
-            for i in range(first, n_out):
-                key[i - first] = out[i, 0]
-            _order(key, n_out - first, order, spare)
-            for i in range(first, n_out):
-                out[i, 0] = int(key[order[i - first]])
+            if many is not None:
+                for i in range(first, n_out):
+                    key[i - first] = out[i, 0]
+                _order(key, n_out - first, order, spare)
+                for i in range(first, n_out):
+                    out[i, 0] = int(key[order[i - first]])
         start[p + 1] = n_out
         reach = max(4.0 * h, min(widest, size[p])) + h
         if convex[m] and face_start[m + 1] - face_start[m] <= FEW:
