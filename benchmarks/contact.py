@@ -78,7 +78,9 @@ def rows() -> None:
     whole[3] = np.full_like(p.offset, -1e-5)
     half[3] = p.offset.copy()
     low = np.zeros((len(p), 3))
-    footprints.measure(p.gp, p.start, p.corners, p.offset, x, *np.zeros((4, len(p))), low, np.zeros((len(p), 3)))
+    points, ratio = np.zeros((len(p), 3, 2)), np.zeros(len(p))
+    sizes, centre = np.zeros((4, len(p))), np.zeros((len(p), 3))
+    footprints.measure(p.gp, p.start, p.corners, p.offset, x, points, ratio, *sizes, low, centre)
     half[3][:] = low - 1e-5 * np.array([1.0, 0.2, -1.0])  # zero depth runs through every patch
 
     def project(chosen: list[np.ndarray]) -> Callable[[], None]:
@@ -132,7 +134,7 @@ def clip(name: str, body: object, edge: float) -> None:
         )  # fmt: skip
 
     def cut() -> None:
-        cut_pairs(s, g, which, c.slave, c.master, c._window, x, offsets, c.prune, c.n_memory)
+        cut_pairs(s, g, which, c.slave, c.master, c._window, c._least, x, offsets, c.prune, c.n_memory)
 
     alone, whole = seconds(clipped, cut)
     print(

@@ -4,32 +4,46 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-__all__ = ["kernel"]
+__all__ = ["held_off", "kernel"]
+
+
+@contextmanager
+def held_off() -> Iterator[None]:
+    """No collections inside: importing and compiling make many objects that stay, and next to none to be collected."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 @cache
 def _numba() -> Any:
     """The package, told to leave the garbage collector off while it compiles: an eighth of the time, for nothing."""
-    import numba
-    from numba.core import event
+    with held_off():
+        import numba
+        from numba.core import event
 
     class Pause(event.Listener):  # type: ignore[misc]
-        depth, was_on = 0, True
+        depth, held = 0, held_off()
 
         def on_start(self, _: Any) -> None:
             if self.depth == 0:
-                self.was_on = gc.isenabled()
-                gc.disable()
+                self.held = held_off()
+                self.held.__enter__()
             self.depth += 1
 
         def on_end(self, _: Any) -> None:
             self.depth -= 1
-            if self.depth == 0 and self.was_on:
-                gc.enable()
+            if self.depth == 0:
+                self.held.__exit__(None, None, None)
 
     event.register("numba:compile", Pause())
     return numba

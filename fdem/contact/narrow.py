@@ -182,6 +182,7 @@ def cut_pairs(
         g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper,
     )  # fmt: skip
     local, face_s, face_m = np.ascontiguousarray(key[:, :3].T)
+    corners, margin = corners.copy(), margin.copy()  # not with all the room they were made in
     start = np.r_[0, key[:, 3]].astype(np.int32)
     n = len(local)
     bare = np.flatnonzero(np.bincount(local, minlength=len(which)) == 0)
@@ -199,10 +200,9 @@ def cut_pairs(
         w_clip=np.zeros((3 * n, 7)), reach=np.zeros(n), normal_reach=np.zeros(n), cluster=np.zeros(n, np.int32),
         metric=metric_of(gp, x),
     )  # fmt: skip
-    footprints.reference_points(start, corners, p.ref_points, p.ref_ratio)
     area, closed, align, depth = sizes = [np.zeros(n) for _ in range(4)]
     plane_depth, centre = np.zeros((n, 3)), np.zeros((n, 3))
-    footprints.measure(gp, start, corners, p.offset, x, *sizes, plane_depth, centre)
+    footprints.measure(gp, start, corners, p.offset, x, p.ref_points, p.ref_ratio, *sizes, plane_depth, centre)
     # side strips are weighed by what is closed: they exist only as far as the blocks overlap
     facing, keep = align > STRIP, np.zeros(n, bool)
     largest, largest_closed, nearest = np.zeros(len(which)), np.zeros(len(which)), miss.copy()

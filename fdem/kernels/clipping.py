@@ -354,8 +354,7 @@ def _rivals(
                 f, g, xs, df, dg, outside, 4.0 * h, bufs, work, n_pieces, snap, corner_start, corner_x, normal, wall,
                 kind, tmp, part, o, v,
             )  # fmt: skip
-        if n_pieces != n_before:
-            margin = 0.0
+        margin = 0.0 if n_pieces != n_before else margin
     return n_pieces, margin, miss
 
 
@@ -499,7 +498,8 @@ def clip_faces(
     poly, tmp, part = np.empty((room, 2)), np.empty((room, 2)), np.empty((room, 2))
     bufs, work = np.empty((64, room, 2)), np.zeros(64, np.int64)
     xs, box, df, dg, v, o = np.empty((3, 3)), np.empty((2, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    key, margins, corners = np.empty((64, 4), np.int32), np.empty(64), np.empty((512, 2))
+    most_out, most_corners = (len(faces), room * len(faces)) if convex is None else (64, 512)  # convex: one piece each
+    key, margins, corners = np.empty((most_out, 4), np.int32), np.empty(most_out), np.empty((most_corners, 2))
     miss, miss_face = np.full(n_pairs, np.inf), np.full((n_pairs, 2), -1, np.int32)
     too_deep = np.zeros(n_pairs, np.uint8)
     n_out, n_corners = 0, np.int64(0)
@@ -538,9 +538,9 @@ def clip_faces(
                     too_deep[p] = 1
                 if count == 0 or not _ratio(bufs[q], count) > smallest:
                     continue
-                if n_out == len(key):
+                if convex is not None and n_out == len(key):
                     key, margins = _longer(key), _longer(margins)
-                while n_corners + count > len(corners):
+                while convex is not None and n_corners + count > len(corners):
                     corners = _longer(corners)
                 _copy(bufs[q], count, corners[n_corners:])
                 n_corners += count

@@ -263,12 +263,12 @@ def _highest(a, f, corner_start, corner_x, normal):
 
 @kernel
 def _longer(rows):
-    """Twice as many rows; those there are keep their place."""
+    """Twice as many rows; those there are keep their place. Blocks of few faces get all they may need at once."""
     return np.concatenate((rows, np.empty_like(rows)))
 
 
 @kernel
-def _around(rows, first, last, m, reach, face_start, lower, upper, lo, hi, out, n_out):
+def _around(rows, first, last, m, reach, face_start, lower, upper, lo, hi, out, n_out, many):
     """Append to `out` the faces of block m within `reach` of the slave faces ``rows[first:last, 0]`` by their boxes."""
     for d in range(3):
         lo[d], hi[d] = np.inf, -np.inf
@@ -279,7 +279,7 @@ def _around(rows, first, last, m, reach, face_start, lower, upper, lo, hi, out, 
     for g in range(face_start[m], face_start[m + 1] if last > first else face_start[m]):
         if lower[g, 0] <= hi[0] and lower[g, 1] <= hi[1] and lower[g, 2] <= hi[2]:
             if upper[g, 0] >= lo[0] and upper[g, 1] >= lo[1] and upper[g, 2] >= lo[2]:
-                if n_out == len(out):
+                if many is not None and n_out == len(out):
                     out = _longer(out)
                 out[n_out] = g
                 n_out += 1
@@ -366,12 +366,18 @@ def face_pairs(
         Faces of every pair's master that may be nearer than another: all of a convex one with few faces (its cells
         are bounded by all its planes), else those near the slave.
     """
-    n_pairs, room = len(slave), 0
+    n_pairs, room, rows, others = len(slave), 0, 1024, 1024
+    if many is None:
+        rows, others = 0, 0
     n_out, n_rivals = np.int64(0), np.int64(0)  # not literals, for which numba would compile the helpers once more
-    start, out = np.zeros(n_pairs + 1, np.int64), np.empty((1024, 2), np.int32)
-    rival_start, rivals = np.zeros(n_pairs + 1, np.int64), np.empty(1024, np.int32)
     for p in range(n_pairs):
-        room = max(room, face_start[slave[p] + 1] - face_start[slave[p]])
+        n_s = face_start[slave[p] + 1] - face_start[slave[p]]
+        n_m = face_start[master[p] + 1] - face_start[master[p]]
+        room = max(room, n_s)
+        if many is None:
+            rows, others = rows + n_s * n_m, others + n_m
+    start, out = np.zeros(n_pairs + 1, np.int64), np.empty((rows, 2), np.int32)
+    rival_start, rivals = np.zeros(n_pairs + 1, np.int64), np.empty(others, np.int32)
     near, order, spare = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
     begin, key, ends = np.empty(room), np.empty(room), np.empty((2, 3))
     for p in range(n_pairs):
@@ -398,7 +404,7 @@ def face_pairs(
                 high = _highest(a, f, corner_start, corner_x, normal)
                 if high < -h or not _overlap(lower, upper, a, f, 2.0 * (h + min(max(high, 0.0), deep))):
                     continue
-                if n_out == len(out):
+                if many is not None and n_out == len(out):
                     out = _longer(out)
                 out[n_out, 0], out[n_out, 1] = a, f
                 n_out += 1
@@ -413,7 +419,7 @@ def face_pairs(
         if convex[m] and face_start[m + 1] - face_start[m] <= FEW:
             reach = np.inf
         rivals, n_rivals = _around(
-            out, start[p], n_out, m, reach, face_start, lower, upper, ends[0], ends[1], rivals, n_rivals
+            out, start[p], n_out, m, reach, face_start, lower, upper, ends[0], ends[1], rivals, n_rivals, many
         )
         rival_start[p + 1] = n_rivals
     return start, out[:n_out], rival_start, rivals[:n_rivals]
