@@ -176,10 +176,11 @@ def cut_pairs(
         slave[which], master[which], window[which], size, s.face_start, s.corner_start, s.limit, s.convex, g.corner_x,
         g.normal, g.lower, g.upper, g.block_lower, g.block_upper, s.many,
     )  # fmt: skip
+    boxes = (None, None) if s.many is None and s.mixed is None else (g.lower, g.upper)
     key, corners, margin, miss, miss_face, too_deep = clipping.clip_faces(
         *near, master[which], window[which], size, most, int(np.diff(s.corner_start).max()), s.face_start,
         s.corner_start, s.corner_w, s.ref, s.limit, s.mixed, s.affine, s.open, x,
-        g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper,
+        g.corner_x, g.normal, g.wall, g.kind, *boxes,
     )  # fmt: skip
     local, face_s, face_m = np.ascontiguousarray(key[:, :3].T)
     corners, margin = corners.copy(), margin.copy()  # not with all the room they were made in

@@ -212,16 +212,8 @@ class Surfaces:
         """Convexity of blocks and depth limits of faces, in the positions `x`."""
         geo = FaceGeometry.of(self)
         geo.refresh(self, x, np.arange(self.n_blocks, dtype=np.int32))
-        kernels.convex_blocks(
-            self.face_start,
-            self.corner_start,
-            self.neighbour,
-            geo.normal,
-            geo.corner_x,
-            self.affine,
-            self.open,
-            self.convex,
-        )
+        owner = np.repeat(np.arange(self.n_faces), np.diff(self.corner_start))
+        self._mark_convex(geo, owner)
         kernels.thickness(
             self.face_start,
             self.corner_start,
@@ -231,7 +223,6 @@ class Surfaces:
             self.open,
             self.limit,
         )
-        owner = np.repeat(np.arange(self.n_faces), np.diff(self.corner_start))
         flat = (self.neighbour >= 0) & (np.einsum("ij,ij->i", geo.normal[owner], geo.normal[self.neighbour]) > 0.9999)
         for _ in range(4):  # a triangle beside an acute edge shares the thickness of its plane
             np.maximum.at(self.limit, owner[flat], self.limit[self.neighbour[flat]])
@@ -244,6 +235,21 @@ class Surfaces:
         self.most[:] = np.maximum(ROOM_FRACTION * self.room, least)
         np.maximum(self.limit, least[self.face_block], out=self.limit)
         np.minimum(self.limit, self.most[self.face_block], out=self.limit)
+
+    def _mark_convex(self, geo: FaceGeometry, owner: Any) -> None:
+        """Affine closed blocks all of whose edges are convex (a closed connected surface is then convex).
+
+        `owner` (n_corners,): the face of a corner.
+        """
+        following = np.arange(1, len(owner) + 1)
+        following[self.corner_start[1:] - 1] = self.corner_start[:-1]
+        ex, ey, ez = (geo.corner_x[following] - geo.corner_x).T
+        nx, ny, nz = geo.normal[owner].T
+        gx, gy, gz = geo.normal[self.neighbour].T
+        tilt = gx * (ny * ez - nz * ey) + gy * (nz * ex - nx * ez) + gz * (nx * ey - ny * ex)
+        bad = (self.neighbour < 0) | (tilt > 1e-9 * np.sqrt(ex * ex + ey * ey + ez * ez))
+        self.convex[:] = (self.affine == 1) & (self.open == 0)
+        self.convex[self.face_block[owner[bad]]] = 0
 
 
 @dataclass

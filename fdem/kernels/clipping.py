@@ -54,7 +54,7 @@ def _cut(poly, n, l0, l1, l2, snap, tmp):
         return n
     if not inside:
         return 0
-    m = 0
+    m = np.int64(0)  # a literal would have numba compile `_copy` once more
     a1, a2 = poly[n - 1, 0], poly[n - 1, 1]
     va = l0 * (1.0 - a1 - a2) + l1 * a1 + l2 * a2
     for i in range(n):
@@ -314,11 +314,12 @@ def _rivals(
 ):  # fmt: skip
     """Take away what the faces `around` of the master are nearer to; number of pieces, margin, miss as `_own_cell`."""
     margin, miss = np.inf, np.inf
-    near = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
-    lo0, lo1, lo2 = box[0, 0] - near, box[0, 1] - near, box[0, 2] - near
-    hi0, hi1, hi2 = box[1, 0] + near, box[1, 1] + near, box[1, 2] + near
+    if lower is not None:
+        near = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
+        lo0, lo1, lo2 = box[0, 0] - near, box[0, 1] - near, box[0, 2] - near
+        hi0, hi1, hi2 = box[1, 0] + near, box[1, 1] + near, box[1, 2] + near
     for g in around:
-        if g == f or (not all_faces and (
+        if g == f or (lower is not None and not all_faces and (
             lower[g, 0] > hi0 or lower[g, 1] > hi1 or lower[g, 2] > hi2
             or upper[g, 0] < lo0 or upper[g, 1] < lo1 or upper[g, 2] < lo2
         )):  # fmt: skip
@@ -327,8 +328,7 @@ def _rivals(
         if cosine > (1.0 - 1e-14 if affine else 0.9):
             continue
         _plane_values(normal[g], corner_x[corner_start[g]], xs, dg)
-        for k in range(3):
-            dg[k] = -dg[k]
+        dg[0], dg[1], dg[2] = -dg[0], -dg[1], -dg[2]
         if convex is None or not bent:
             length = math.sqrt(2.0 - 2.0 * cosine)
             v[0], v[1], v[2] = (dg[0] - df[0]) / length, (dg[1] - df[1]) / length, (dg[2] - df[2]) / length
@@ -448,8 +448,7 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
         for d in range(3):
             xs[k, d] = x[ref[a, k], d]
     _plane_values(normal[f], corner_x[corner_start[f]], xs, df)
-    for k in range(3):
-        df[k] = -df[k]
+    df[0], df[1], df[2] = -df[0], -df[1], -df[2]
     count = corner_start[a + 1] - corner_start[a]
     for i in range(count):
         poly[i, 0], poly[i, 1] = corner_w[corner_start[a] + i, 0], corner_w[corner_start[a] + i, 1]
@@ -477,7 +476,7 @@ def clip_faces(
     | master | (n_pairs,) | - | block ids |
     | window | (n_pairs,) | m | patches are made up to this gap |
     | size, most | (n_pairs,) | m | size of the smaller block, largest depth that either block admits |
-    | convex | (n_blocks,) | - | or None if all are: what only others need is not compiled then |
+    | convex, lower, upper | | | None if all blocks are convex, and have few faces: what others need is not compiled |
     | others | | | arrays of `Surfaces` and `FaceGeometry` |
 
     Returns

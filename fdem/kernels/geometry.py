@@ -74,36 +74,6 @@ def face_geometry(
 
 
 @kernel
-def convex_blocks(face_start, corner_start, neighbour, normal, corner_x, affine, is_open, convex):
-    """Mark affine closed blocks all of whose edges are convex (a closed connected surface is then convex)."""
-    for b in range(len(face_start) - 1):
-        good = affine[b] == 1 and is_open[b] == 0
-        for f in range(face_start[b], face_start[b + 1]):
-            if not good:
-                break
-            first, last = corner_start[f], corner_start[f + 1]
-            for c in range(first, last):
-                follow = c + 1 if c + 1 < last else first
-                g = neighbour[c]
-                if g < 0:
-                    good = False
-                    break
-                ex = corner_x[follow, 0] - corner_x[c, 0]
-                ey = corner_x[follow, 1] - corner_x[c, 1]
-                ez = corner_x[follow, 2] - corner_x[c, 2]
-                nx, ny, nz = normal[f, 0], normal[f, 1], normal[f, 2]
-                tilt = (
-                    normal[g, 0] * (ny * ez - nz * ey)
-                    + normal[g, 1] * (nz * ex - nx * ez)
-                    + normal[g, 2] * (nx * ey - ny * ex)
-                )
-                if tilt > 1e-9 * math.sqrt(ex * ex + ey * ey + ez * ez):
-                    good = False
-                    break
-        convex[b] = 1 if good else 0
-
-
-@kernel
 def _above(p, g, corner_start, corner_x, normal):
     """Whether the point `p` lies over the convex polygon g, seen along its normal."""
     a, z = corner_start[g], corner_start[g + 1]
@@ -156,7 +126,7 @@ def thickness(face_start, corner_start, corner_x, normal, convex, is_open, out):
                 out[f] = np.inf
                 continue
             first, last = corner_start[f], corner_start[f + 1]
-            _middle(corner_x, first, 1 if convex is None or convex[b] else last - first, o)
+            _middle(corner_x, first, np.int64(1) if convex is None or convex[b] else last - first, o)
             hit = np.inf
             if convex is None:
                 out[f] = _extent(f, b, o, face_start, corner_start, corner_x, normal)
