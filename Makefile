@@ -35,6 +35,7 @@ bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python benchmarks/jointed.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/stability.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/skip.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/substeps.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/scaling.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/peers.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/wall.py

@@ -13,6 +13,8 @@ import fdem
 
 ROCK = fdem.Elastic(2500.0, 1e9, 0.2)
 STIFF = fdem.Elastic(2500.0, 1e13, 0.2)
+SOFTER = fdem.Elastic(2500.0, 1e8, 0.2)
+SLAB_STEP = 1.9e-5  # [s] about that of the slabs
 STEP = 2e-5  # [s] stable for both, where what is added would shorten the step
 Answer = tuple[Any, Any]
 
@@ -354,6 +356,54 @@ def hit(forced: bool) -> Any:
 enter(
     "sleeping", "blocks at rest (sleep)", "sleeping:", 1e-6, resting, lambda sim: sim["wall"].contact_force,
     lambda: (hit(False), hit(True)),
+)  # fmt: skip
+
+# sub-steps
+
+
+class Timed:
+    """A simulation with or without sub-steps, which cycles over equal times."""
+
+    def __init__(self, every: bool) -> None:
+        self.sim = compiled(slabs(), fdem.Explicit(substeps=1 if every else 16))
+
+    def cycle(self, steps: int) -> None:
+        """Run for as long as `steps` steps with sub-steps take."""
+        self.sim.run(steps * 16 * SLAB_STEP)
+
+    def describe(self) -> str:
+        """Of the simulation."""
+        return self.sim.describe()
+
+
+def slabs() -> fdem.Scene:
+    """Thin slabs between blocks, on a base: the blocks' stable step is 16 times that of the slabs."""
+    scene, _ = one(fdem.Zoned(), fdem.brick((0, 0, 0), (1, 1, 0.05)))
+    for k in range(4):
+        low = 0.05 + 1.0 * k
+        scene.add(fdem.brick((0, 0, low), (1, 1, low + 1.0)), fdem.Zoned(size=0.3), SOFTER, group="pillar")
+    return scene
+
+
+def beyond(forced: bool) -> Any:
+    """How far the pillar has gone after a while; with blocks left out of more steps than their stable step allows."""
+    sim = compiled(slabs(), fdem.Explicit(substeps=16))
+    if forced:
+        rates = sim.integrator.rates
+        rates.take(rates.level + 2 * (rates.level > 0))
+        sim.integrator.step_length *= 4
+        rates.choose = lambda *limits: None
+    try:
+        sim.run(0.02)
+    except fdem.FdemError:
+        return None
+    return sim["pillar"].displacement
+
+
+enter(
+    # second order in the step of the slow blocks
+    "substeps", "forces of slow blocks in every step", "sub-steps:", 1e-2, Timed,
+    lambda run: run.sim["pillar"].displacement, lambda: (beyond(False), beyond(True)), steps=20,
 )  # fmt: skip
 
 # imports

@@ -17,13 +17,6 @@ from stress.base import SCENARIOS, run
 
 MODULES = (penetration, rest, solids, steps)  # their scenarios enter SCENARIOS when they are imported
 
-# scenario and row of what does not pass, and why
-REASONS: dict[str, str] = {
-    "S17": "Patches are kept until blocks have moved by 1e-3 of their size: that is what the force may be off by while "
-    "the box passes the seam, kick and speed are within their limits. With patches cut in every step (60 x the cost) "
-    "the force is within 1e-6 too.",
-}
-
 
 def measure(numbers: list[str], full: bool) -> list[dict[str, Any]]:
     """Every row as a dictionary, printed as it comes."""
@@ -62,10 +55,7 @@ def report(found: list[dict[str, Any]]) -> str:
         for row in each["rows"]:
             if not row["passed"]:
                 value = row["value"] if isinstance(row["value"], str) else f"{row['value']:.3g}"
-                why = REASONS.get(each["number"], "")
-                failures.append(
-                    f"- {each['number']}, {row['what']}: {value} against {row['criterion']}. {why}".rstrip()
-                )
+                failures.append(f"- {each['number']}, {row['what']}: {value} against {row['criterion']}.")
     return text + ("\n\nWhat does not pass:\n\n" + "\n".join(failures) if failures else "\n\nAll pass.")
 
 

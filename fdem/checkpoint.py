@@ -44,6 +44,8 @@ class Carrier:
     """What a simulation was before it was compiled again."""
 
     def __init__(self, sim: Simulation) -> None:
+        if hasattr(sim.integrator, "settle"):
+            sim.integrator.settle(sim.system)
         self.model, self.state, self.system = sim.model, sim.state, sim.system
         self.x0, self.centroids0, self.turned = sim.x0, sim.centroids0, sim.turned
 

@@ -27,7 +27,7 @@ def describe(sim: Any) -> str:
         lines += notes(contacts)
     if sim.system.particles is not None:
         lines += sphere_readout.notes(sim.system.particles)
-    lines.append(sleepers(contacts))
+    lines += [sleepers(contacts), _substeps(sim)]
     if contacts is not None:
         lines.append("detection: left out of steps before which nothing has moved far enough to matter")
     if len(model.zones):
@@ -58,6 +58,18 @@ def _step(sim: Any) -> str:
         where = f" at gridpoint {int(gp[sim.model.batch_row[block]]) - int(sim.model.gp_range[block, 0])}"
     limit = sim.integrator.limit(sim.system)
     return f"step: {sim.dt:.4g} s, limit {limit:.4g} s set by block {sim.model.names[block]!r}{where}"
+
+
+def _substeps(sim: Any) -> str:
+    rates = getattr(sim.integrator, "rates", None)
+    if rates is None:
+        return "sub-steps: left out, not asked for"
+    counts = np.bincount(rates.level[~sim.model.fixed])
+    blocks = ", ".join(f"{n} blocks every {2**k}" for k, n in enumerate(counts.tolist()) if n)
+    return (
+        f"sub-steps: {rates.every} of {sim.dt / rates.every:.4g} s in a step; forces are found for {blocks}: "
+        f"{rates.saved:.2g} times fewer than all in all"
+    )
 
 
 def _implicit(sim: Any) -> str:

@@ -45,6 +45,8 @@ class Guard:
     def _energy(self, sim: Any) -> None:
         """Refuse energy that grows; a load that sets in looks like it for a step, so it must go on growing."""
         entry, suspect = sim.energy, self._suspect
+        if hasattr(sim.integrator, "watch"):
+            sim.integrator.watch(sim.system, entry.error, sim.ledger.turned)
         # round-off of balanced forces does work too: it is no growth
         noise = 1e-12 * sim.system.largest_force() * float(sim.model.size.max())
         if entry.closure == 0.0 or entry.error <= max(0.5 * sim.ledger.turned, noise):

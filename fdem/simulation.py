@@ -14,6 +14,7 @@ from fdem import checkpoint
 from fdem.compile import Compiled, compile_scene
 from fdem.contact import carry
 from fdem.contact.parking import Parking
+from fdem.contact.rates import Rated
 from fdem.errors import FdemWarning, SceneError
 from fdem.guard import CHECK_EVERY, Guard
 from fdem.integrate.explicit import Explicit, Relaxation
@@ -113,6 +114,8 @@ class Simulation(Readout):
         contacts, state, model = compiled.contacts, compiled.state, compiled.model
         if contacts is not None and getattr(self.integrator, "sleep", None) is not None:
             contacts = Parking(contacts, state.x, state.x_old, model.gp_block, model.batch_index < 0)
+        if contacts is not None and getattr(self.integrator, "substeps", 1) > 1:
+            contacts = Rated(contacts)
         loads = compiled.loads + [Release(None, gp, forces, at, over) for gp, forces, at, over in self._releases]
         self.system = System(
             compiled.model,

@@ -29,6 +29,8 @@ class State:
         Positions now and at the last commit [m].
     f_gp : (n_gp, 3) array
         Forces on gridpoints [N].
+    forces : (n,) array
+        The memory of `f` and `f_gp`.
     t : float
         Time [s].
     step : int
@@ -41,6 +43,7 @@ class State:
     x: np.ndarray
     x_old: np.ndarray
     f_gp: np.ndarray
+    forces: np.ndarray
     t: float = 0.0
     step: int = 0
 
@@ -68,4 +71,5 @@ class State:
             x=x,
             x_old=x.copy(),
             f_gp=forces[n_dofs:].reshape(-1, 3),
+            forces=forces,
         )

@@ -536,3 +536,15 @@ def test_scene_level_values_are_checked():
         fdem.Scene(gravity=(0, 0, np.nan))
     with pytest.raises(fdem.SceneError, match="gap_tolerance"):
         fdem.Scene(gap_tolerance=-1.0)
+
+
+def test_gravity_given_later_is_a_vector_too():
+    scene = fdem.Scene()
+    scene.add(fdem.brick((0, 0, 0), (1, 1, 1)), fdem.Rigid(), ROCK)
+    scene.gravity = (0, 0, -5.0)
+    sim = fdem.Simulation(scene, fdem.Explicit(dt=1e-3), progress=False)
+    sim.run(0.1)
+    np.testing.assert_allclose(sim.velocity[2], -0.5, rtol=1e-12)
+    scene.gravity = (0, -5.0)
+    with pytest.raises(fdem.SceneError, match="gravity"):
+        fdem.Simulation(scene, fdem.Explicit())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -190,6 +191,10 @@ class FieldBlocks(entries.Additive):
     def stress_at(self, q: Array, owner: Any, places: Array) -> Array:
         """Cauchy stress (m, 6) [Pa] at reference places (m, 3) of the blocks `owner` (m,)."""
         raise NotImplementedError
+
+    def graded(self, level: Array) -> list[tuple[int, Callable[..., None]]]:
+        """`internal`, in every step."""
+        return [(0, self.internal)]
 
     def weight(self, g: Array, f: Array) -> None:
         """Add ``m g`` to the forces `f` [N]; no function has a mean over the mass."""

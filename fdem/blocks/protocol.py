@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -64,6 +65,12 @@ class Blocks(Protocol):
 
     def internal(self, q: np.ndarray, x: np.ndarray, f: np.ndarray) -> None:
         """Subtract the internal forces of the configuration from `f`."""
+
+    def graded(self, level: np.ndarray) -> list[tuple[int, Callable[..., None]]]:
+        """`internal` in parts: every `level` (n_blocks,) there is, and what subtracts the forces of its blocks.
+
+        Only of batches that have internal forces. Where they cost next to nothing, all are of level 0.
+        """
 
     def weight(self, g: np.ndarray, f: np.ndarray) -> None:
         """Add the weight for gravity `g` [m/s^2] to `f`."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from fdem.blocks import entries, recovery
 from fdem.blocks.assembly import coupling_norms, elastic_stiffness
 from fdem.blocks.bounds import Springs, share
 from fdem.blocks.masses import InertiaCorrection, block_moments, lumped_moments, row_sum_masses, voronoi_masses
-from fdem.blocks.zoneforces import LargeStrain, SmallStrain, rotation_vectors
+from fdem.blocks.zoneforces import LargeStrain, SmallStrain, rotation_vectors, terms_of
 from fdem.blocks.zonetangents import ZonePattern
 from fdem.errors import MeshError, SceneError
 from fdem.kernels import stiffness
@@ -131,11 +131,7 @@ class ZonedBlocks(entries.Additive):
     def set_initial_stress(self, stress0: Array | None) -> None:
         """Choose the in-situ stress of the reference configuration (m, 6) [Pa]; None: stress-free."""
         self.stress0 = None if stress0 is None else np.ascontiguousarray(stress0, dtype=np.float64)
-        self._terms = []
-        if self.large.any():
-            self._terms.append(LargeStrain(self, self.large[self.zone_block]))
-        if not self.large.all():
-            self._terms.append(SmallStrain(self, ~self.large))
+        self._terms = terms_of(self, np.ones(self.n_blocks, dtype=bool))
 
     def _set_masses(self, density: Array, rules: list[str]) -> None:
         for k, rule in enumerate(rules):
@@ -209,11 +205,15 @@ class ZonedBlocks(entries.Additive):
 
     # forces
 
-    def internal(self, q: Array, x: Array, f: Array) -> None:
+    def internal(self, q: Array, x: Array, f: Array, terms: list[Any] | None = None) -> None:
         """Subtract internal forces (n_dofs,) [N] at the positions x (n_gp, 3) [m]."""
         local, force = x[self.gridpoints], f[self.dofs].reshape(-1, 3)
-        for term in self._terms:
+        for term in self._terms if terms is None else terms:
             term.subtract_force(local, force)
+
+    def graded(self, level: Array) -> list[tuple[int, Callable[..., None]]]:
+        """`internal` of the blocks of every `level` (n_blocks,)."""
+        return [(int(k), partial(self.internal, terms=terms_of(self, level == k))) for k in np.unique(level)]
 
     def weight(self, g: Array, f: Array) -> None:
         """Add weights M g for the gravity g (3,) [m/s^2]."""

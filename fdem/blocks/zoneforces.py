@@ -13,7 +13,7 @@ from fdem.kernels import corotated, zones
 if TYPE_CHECKING:
     from fdem.blocks.zoned import ZonedBlocks
 
-__all__ = ["LargeStrain", "SmallStrain", "elasticity", "rotation_vectors", "tensors", "voigt_strain"]
+__all__ = ["LargeStrain", "SmallStrain", "elasticity", "rotation_vectors", "tensors", "terms_of", "voigt_strain"]
 
 Array = Any
 
@@ -239,3 +239,13 @@ class SmallStrain:
         owner_block = self._owner.zone_block[self.zones]
         np.maximum.at(strain, owner_block, np.abs(linear[self.zones]).reshape(-1, 9).max(axis=1))
         np.maximum.at(rotation, owner_block, spin)
+
+
+def terms_of(owner: ZonedBlocks, blocks: Array) -> list[LargeStrain | SmallStrain]:
+    """What resists the deformation of some `blocks` (n_blocks,) bool of a batch."""
+    terms: list[LargeStrain | SmallStrain] = []
+    if (large := owner.large & blocks).any():
+        terms.append(LargeStrain(owner, large[owner.zone_block]))
+    if (small := ~owner.large & blocks).any():
+        terms.append(SmallStrain(owner, small))
+    return terms

@@ -11,6 +11,7 @@ from fdem.compile.formulations import FORMULATIONS, Share
 from fdem.compile.layout import Layout
 from fdem.errors import FdemWarning
 from fdem.model import Model
+from fdem.scene.checks import vector
 from fdem.scene.scene import Block
 from fdem.state import State
 
@@ -69,7 +70,7 @@ def assemble(layout: Layout, threads: int) -> tuple[Model, State]:
         **_triangles(layout),
         batches=tuple(batches.values()),
         deformable=batches.get("zoned"),
-        gravity=layout.scene.gravity,
+        gravity=vector("Scene", "gravity", layout.scene.gravity),
         # dashpots of spheres act in the middle of the step and do not shorten it
         damping_ratio=max(
             [getattr(rule.law, "damping_ratio", 0.0) for rule in layout.scene.joints if rule.law.for_faces], default=0.0

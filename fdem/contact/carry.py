@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fdem.contact import response
+from fdem.contact.corners import absorb
 from fdem.contact.narrow import Ghosts, Patches
 from fdem.contact.parking import patches_of, whole
 from fdem.errors import CheckpointError
@@ -42,6 +43,7 @@ def adopt(new: Contacts, old: Contacts, rows: Any, gp_number: Any, x: Array) -> 
         If a surviving block has other faces than before.
     """
     old = whole(old)
+    absorb(old)
     block = np.full(old.surfaces.n_blocks, -1, dtype=np.int64)
     block[rows[:, 0]] = rows[:, 1]
     other = np.not_equal(np.diff(old.surfaces.face_start)[rows[:, 0]], np.diff(new.surfaces.face_start)[rows[:, 1]])

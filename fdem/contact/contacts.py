@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fdem.contact import response, startup, table
+from fdem.contact import corners, response, startup, table
 from fdem.contact.broad import REACH, block_skins, candidate_pairs, common_pairs, master_first
-from fdem.contact.corners import pair_corners
 from fdem.contact.history import inherit_history, inherit_laws, known_offsets
 from fdem.contact.laws import LawTable, stiffness_of
 from fdem.contact.narrow import Cut, Ghosts, Patches, cut_pairs
 from fdem.contact.surface import BlockSurface, FaceGeometry, Surfaces
 from fdem.contact.wear import closing, drifted_pairs, least_volumes, too_deep, worn_pairs
 from fdem.errors import OverlapError, SceneError
-from fdem.kernels import corners, footprints, joints, memory, upkeep
+from fdem.kernels import footprints, joints, memory, upkeep
 from fdem.kernels import patches as kernels
 from fdem.kernels import response as responses
 
@@ -205,6 +204,7 @@ class Contacts:
     def _redo(self, x: Array, refreshed: Any) -> bool:
         """New broad phase; pairs of refreshed blocks, new pairs and worn ones are cut anew."""
         self.energy()
+        corners.absorb(self)
         worn, drifted = worn_pairs(self, x), drifted_pairs(self, x)
         old_pairs, least = self.pairs, least_volumes(self)
         self.pairs = candidate_pairs(self.surfaces, x, self._skins, self.may_touch)
@@ -243,6 +243,7 @@ class Contacts:
         `slip` (n_patches,) [J] is their elastic slip energy: what the new patches do not take over was dissipated.
         """
         self.energy()  # the arrays it reads are about to go
+        corners.absorb(self)
         mask = np.zeros(len(self.pairs), bool)
         mask[which] = True
         touched = mask[self.patches.pair]
@@ -265,13 +266,16 @@ class Contacts:
 
     def _install(self, p: Patches, ghosts: Ghosts, x: Array, ids: Any) -> None:
         """Sort the patches `ids` of `p` and allocate what `forces` writes."""
-        order = np.lexsort((p.face_s[ids], p.face_m[ids], p.pair[ids], p.law[ids]))
-        ids = ids[order]
+        ids = ids[self._order(p.face_s[ids], p.face_m[ids], p.pair[ids], p.law[ids])]
         as_they_are = len(ids) == len(p) and bool((ids == np.arange(len(ids))).all())
         self.patches = p if as_they_are else p.take(ids)
         self.ghosts = ghosts
         self.x_check[:] = x
         self._prepare()
+
+    def _order(self, face_s: Ints, face_m: Ints, pair: Ints, law: Ints) -> Any:
+        """Order in which patches are worked on."""
+        return np.lexsort((face_s, face_m, pair, law))
 
     def _prepare(self) -> None:
         p, s = self.patches, self.surfaces
@@ -288,7 +292,7 @@ class Contacts:
         self._brittle = response.brittle_of(self.laws, p)
         self._fragile = bool(self._brittle.any())
         self._bound = self._kn.copy()
-        self._corner = pair_corners(self)
+        self._corner = corners.pair_corners(self)
         self._points, self._active = p.points_old.copy(), np.zeros(n, np.uint8)
         self._memory_start = np.zeros((3 * n, self.n_memory))
         self._memory = np.zeros((3 * n, self.n_memory))
@@ -296,7 +300,7 @@ class Contacts:
         self._align, self._normal, self._push = np.zeros(3 * n), np.zeros((3 * n, 3)), np.zeros((n, 3))
         self._slip, self._mass, self._facing = np.zeros((3 * n, 3)), np.zeros(3 * n), np.zeros(n)
         self._cluster = p.clusters()
-        cluster_normal = np.zeros((int(self._cluster.max(initial=-1)) + 1, 3))
+        self._cluster_normal = np.zeros((int(self._cluster.max(initial=-1)) + 1, 3))
         self._pair_area, self._foot, self._lost = np.zeros(len(self.pairs)), np.zeros((n, 5)), np.zeros(n)
         self._traction, self._work = np.zeros((3 * n, 4)), np.zeros((3 * n, 2))
         self._arm = np.zeros((3 * n if self._armed else 0, 3))
@@ -311,16 +315,20 @@ class Contacts:
         ):  # fmt: skip
             np.minimum.at(tolerance, blocks[pair], r)
         self._tolerance = tolerance
-        self._depth, face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._depth, self._face_normal = np.zeros((n, 3)), np.zeros((n, 3))
         self._ajar = bool((p.flags & kernels.AJAR).any())
         self._partner: Ints | None = None
         self._walled = False  # whether cells meet on a slave face; known with the partners
+        self._bundle()
+
+    def _bundle(self) -> None:
+        """Arguments of the kernels that do not change from step to step."""
+        p = self.patches
         self._close_arguments = (p.gp, p.start, p.corners, p.offset, p.flags, p.limit, p.ref_points, p.ref_ratio)
-        self._closed = (self._area, self._gap, self._depth, face_normal)
-        self._face_normal = face_normal
+        self._closed = (self._area, self._gap, self._depth, self._face_normal)
         self._rows = (
             self._w, self._gap, self._area, self._align, self._normal, self._push, self._slip, self._facing,
-            self._pair_area, cluster_normal, self._foot, self._depth, face_normal,
+            self._pair_area, self._cluster_normal, self._foot, self._depth, self._face_normal,
         )  # fmt: skip
 
     def forces(self, x: Array, x_old: Array, dt: float, f_gp: Array) -> None:
@@ -362,8 +370,7 @@ class Contacts:
             )  # fmt: skip
         if self._armed:
             responses.arms(p.gp, self._points, self._active, x, self._arm)
-        if self._corner is not None:
-            corners.corner_energy(p.pair, self._active, self._gap, self._area, self._align, *self._corner)
+        corners.stiffen(self)
         for k, law in enumerate(self.laws):
             lo, hi = self._law_start[k], self._law_start[k + 1]
             if hi > lo:
@@ -372,12 +379,7 @@ class Contacts:
                     self._mass, self._arm, p.prop, law.props, self._memory_start, self._memory, self._traction,
                     self._work, self._state,
                 )  # fmt: skip
-        if self._corner is not None:
-            _, _, _, slopes, factor, energy = self._corner
-            corners.corner_tractions(
-                p.pair, self._active, self._gap, self._area, self._face_normal, slopes, factor, self._ks, self._memory,
-                self._traction, self._work, energy,
-            )  # fmt: skip
+        corners.push(self)
         self._trial, self._filled = True, True
         response.look(self)
         kernels.scatter(p.gp, self._active, self._w, self._area, self._push, self._foot, self._traction, f_gp)
@@ -393,12 +395,17 @@ class Contacts:
         p.area_old[:] = self._area[::3]
         if self._fragile:
             responses.fail(self._active, p.active_old, self._memory, p.memory_old, self._brittle, p.failure)
-        # the exchanged arrays are written completely by the next `forces`
+        self._keep()
+        corners.keep(self)
+        self._trial = False
+        self._stored = None
+
+    def _keep(self) -> None:
+        """Let the trial be the history; the exchanged arrays are written completely by the next `forces`."""
+        p = self.patches
         p.memory_old, self._memory = self._memory, p.memory_old
         p.points_old, self._points = self._points, p.points_old
         p.active_old, self._active = self._active, p.active_old
-        self._trial = False
-        self._stored = None
 
     def energy(self) -> float:
         """Elastic energy stored in the joints in the last committed state [J]."""
@@ -421,25 +428,14 @@ class Contacts:
         """Number of patches, open ones included."""
         return len(self.patches)
 
-    def stiffness(self, x: Array) -> tuple[Ints, Array, Array, Array, Array]:
-        """Rows of all whole patches; see `table.stiffness`."""
-        return table.stiffness(self, x)
-
-    def potential_k_gp(self, x: Array, mobile: Any) -> Array:
-        """Upper bound of the contact stiffness per gridpoint (n_gp,) [N/m]; see `table.potential_k_gp`."""
-        return table.potential_k_gp(self, x, mobile)
+    stiffness = table.stiffness
+    potential_k_gp = table.potential_k_gp
+    pace = response.pace
+    preload = table.preload
 
     def table(self, x: Array) -> dict[str, Any]:
         """Contact table as a dict of arrays; see `table.contact_table`."""
         return table.contact_table(self, x)
-
-    def pace(self, xdot: Array, change: Array) -> Array:
-        """Step (n_blocks,) [s] in which stiffening joints close as far as they may; see `response.pace`."""
-        return response.pace(self, xdot, change)
-
-    def preload(self, x: Array, stress: Array) -> None:
-        """Start contact tractions from a stress field; see `table.preload`."""
-        table.preload(self, x, stress)
 
     def state_arrays(self) -> dict[str, Array]:
         """Everything that influences the next step, as copies; give it to `restore` of the same model."""

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdem.kernels import corners as kernels
+
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
 
-__all__ = ["felt_areas", "pair_corners", "stored_in_corners"]
+__all__ = ["absorb", "felt_areas", "keep", "pair_corners", "push", "stiffen", "stored_in_corners"]
 
 Array = NDArray[np.float64]
 
@@ -18,7 +20,10 @@ CURVATURE = 2.0  # bound of d2U/dh2 over kn A_c for a contact that gets deeper b
 
 
 def pair_corners(c: Contacts) -> tuple[Array, ...] | None:
-    """Arrays of `corner_energy` per pair: stiffness, area, scratch, slopes, factor, energy; None if not asked for."""
+    """Arrays of `corner_energy` per pair and the factor at the last commit; None if not asked for.
+
+    Those of `corner_energy` are stiffness, area, scratch, slopes, factor and energy.
+    """
     p, n = c.patches, len(c.pairs)
     if not any(law.corner is not None and law.corner.any() for law in c.laws):
         return None
@@ -29,7 +34,39 @@ def pair_corners(c: Contacts) -> tuple[Array, ...] | None:
         np.maximum.at(area, p.pair[mine], law.corner[p.prop[mine]])
     kn = np.zeros(n)
     np.maximum.at(kn, p.pair, c._kn)
-    return kn, area, np.zeros((n, 4)), np.zeros((n, 2)), np.ones(n), np.zeros(n)
+    return kn, area, np.zeros((n, 4)), np.zeros((n, 2)), np.ones(n), np.zeros(n), np.ones(n)
+
+
+def stiffen(c: Contacts) -> None:
+    """Before the joint laws: how much stiffer pairs are now; elastic slip keeps its energy."""
+    if c._corner is not None:
+        p, before = c.patches, c._corner[6]
+        kernels.corner_energy(p.pair, c._active, c._gap, c._area, c._align, *c._corner[:6])
+        kernels.carry_slip(p.pair, c._active, before, c._corner[4], c._memory_start)
+
+
+def push(c: Contacts) -> None:
+    """After them: add the tractions."""
+    if c._corner is not None:
+        kn, _, _, slopes, factor, energy, _ = c._corner
+        kernels.corner_tractions(
+            c.patches.pair, c._active, c._gap, c._area, c._face_normal, kn, slopes, factor, c._ks, c._memory,
+            c._traction, c._work, energy,
+        )  # fmt: skip
+
+
+def keep(c: Contacts) -> None:
+    """Accept the factors with the memory of a commit."""
+    if c._corner is not None:
+        np.copyto(c._corner[6], c._corner[4])
+
+
+def absorb(c: Contacts) -> None:
+    """Write slip as it is without stiff corners at the same energy: pairs are about to be cut or renumbered."""
+    if c._corner is not None:
+        factor = c._corner[6]
+        c.patches.memory_old[:, :3] *= np.repeat(np.sqrt(np.maximum(factor[c.patches.pair], 0.0)), 3)[:, None]
+        factor[:] = 1.0
 
 
 def stored_in_corners(c: Contacts) -> float:

@@ -88,6 +88,12 @@ class Patches:
                 out[f.name] = a[rows if f.name in ("memory_old", "w_clip") else ids]
         return Patches(**out)
 
+    def part(self, lo: int, hi: int) -> Patches:
+        """The patches lo..hi, in the same memory."""
+        out = {f.name: getattr(self, f.name)[lo:hi] for f in fields(self)}
+        out |= {name: getattr(self, name)[3 * lo : 3 * hi] for name in ("memory_old", "w_clip")}
+        return Patches(**out | {"start": self.start[lo : hi + 1], "corners": self.corners})
+
     @staticmethod
     def join(a: Patches, b: Patches) -> Patches:
         """Both, one after the other."""

@@ -164,7 +164,7 @@ def slip_energies(c: Contacts) -> Array:
     length = (p.memory_old[:, :3] ** 2).sum(axis=1)
     energies: Array = 0.5 * c._ks * (c._area * length).reshape(-1, 3).sum(axis=1) * (p.active_old > 0)
     if c._corner is not None:
-        energies *= c._corner[4][p.pair]
+        energies *= c._corner[6][p.pair]
     return energies + held_energy(c.laws, p)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdem.contact.corners import absorb
 from fdem.contact.narrow import Cut, Ghosts, Patches
 from fdem.errors import CheckpointError, SceneError
 from fdem.kernels import patches as kernels
@@ -74,6 +75,7 @@ def close_gaps(c: Contacts, cut: Cut) -> dict[str, float]:
 
 def state_arrays(c: Contacts) -> dict[str, Array]:
     """Everything that influences the next step, as copies."""
+    absorb(c)
     out = {f"patch_{f.name}": getattr(c.patches, f.name).copy() for f in fields(Patches)}
     out |= {f"ghost_{f.name}": getattr(c.ghosts, f.name).copy() for f in fields(Ghosts)}
     out |= {name: getattr(c, name).copy() for name in ("pairs", "x_ref", "x_check", "work")}

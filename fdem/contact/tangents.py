@@ -83,7 +83,7 @@ def responses(c: Contacts, dt: float) -> Array:
                 raise UnsupportedError(f"joint law {law.name!r} has no tangent: implicit integrators cannot use it")
             _differences(c, law, lo, hi, dt, out)
     if c._corner is not None:
-        _, _, _, slopes, factor, _ = c._corner
+        _, _, _, slopes, factor, _, _ = c._corner
         pair = np.repeat(c.patches.pair, 3)
         out[:, :, 1:] *= factor[pair][:, None, None, None]
         # the slopes themselves change with the depth of all points of a pair: left out

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fdem.contact.broad import box_pairs
 from fdem.errors import OverlapError
-from fdem.kernels import upkeep
+from fdem.kernels import patches, upkeep
 
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 
 
 EARLY = 0.5  # of what a cut allows
+SEAM = (
+    0.05  # of it: what moved less since its cut, 5e-5 of a face's size, need not be cut with what shares a face with it
+)
 BESIDE = 0.1  # of the largest contact force on a block: what is less needs no finer cuts than this
 
 
@@ -33,10 +36,24 @@ def worn_pairs(c: Contacts, x: Array) -> Any:
     """Pairs (n_pairs,) uint8 to be cut anew: one of their patches or near misses moved further than its cut allows.
 
     If there are any, those that have used up half of it are cut along: the table of patches is made anew at the cost
-    of a step, however few they are.
+    of a step, however few they are. So are all that moved and share a face with them: a face that slides over a seam
+    is never carried twice, nor not at all, by the parts of it that were cut before and after.
     """
     worn = _moved(c, x, 1.0)
-    return _moved(c, x, EARLY) if worn.any() else worn
+    if not worn.any():
+        return worn
+    return _moved(c, x, EARLY) | (_moved(c, x, SEAM) & _beside(c, worn > 0))
+
+
+def _beside(c: Contacts, worn: Any) -> Any:
+    """Pairs (n_pairs,) uint8 with a face against a face that one of the pairs `worn` lies against as well."""
+    p = c.patches
+    flat = np.flatnonzero(p.flags & patches.FLAT)
+    mine = flat[worn[p.pair[flat]]]
+    faces, out = np.zeros(c.surfaces.n_faces, bool), np.zeros(len(c.pairs), np.uint8)
+    faces[p.face_s[mine]] = faces[p.face_m[mine]] = True
+    out[p.pair[flat[faces[p.face_s[flat]] | faces[p.face_m[flat]]]]] = 1
+    return out
 
 
 def _moved(c: Contacts, x: Array, share: float) -> Any:

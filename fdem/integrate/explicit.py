@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from fdem.errors import FdemWarning, SceneError
+from fdem.errors import FdemWarning, SceneError, UnsupportedError
 from fdem.integrate.sleep import Sleep, work_of
+from fdem.integrate.substeps import Substeps
 
 __all__ = ["Adaptive", "Explicit", "Local", "Rayleigh", "Relaxation"]
 
@@ -212,11 +213,17 @@ class Explicit:
         Numerical damping.
     sleep : Sleep, optional
         Let blocks at rest sleep.
+    substeps : int, optional
+        Largest number of steps, a power of two, after which the forces of a block with a larger stable step than
+        others are found again. The steps of the simulation are then those after which all blocks are in step; `dt` is
+        still that of the fastest blocks. 1: all forces in every step.
 
     Raises
     ------
     SceneError
-        If `dt` or `safety` is not positive.
+        If `dt` or `safety` is not positive, or `substeps` no power of two.
+    UnsupportedError
+        Sub-steps with a damping that feels forces (`Local`, stiffness-proportional), sleep or joints that stiffen.
 
     Notes
     -----
@@ -229,6 +236,7 @@ class Explicit:
     safety: float = 0.8
     damping: Local | Rayleigh | Adaptive | None = None
     sleep: Sleep | None = None
+    substeps: int = 1
     scaled: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -243,21 +251,54 @@ class Explicit:
         if self.sleep is not None and not isinstance(self.sleep, Sleep):
             raise SceneError(f"{owner}: sleep = {self.sleep!r}, allowed is a Sleep")
         self._damping: Any = self.damping or _Undamped()
+        self.rates: Substeps | None = None
+        self._check_substeps()
+
+    def _check_substeps(self) -> None:
+        n = self.substeps
+        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1 or n & (n - 1):
+            raise SceneError(f"{type(self).__name__}: substeps = {n!r}, allowed are powers of two")
+        if n == 1:
+            return
+        stiff = isinstance(self.damping, Rayleigh) and self.damping.stiffness == 0.0
+        if self.damping is not None and not stiff:
+            raise UnsupportedError(
+                f"Explicit: damping = {self.damping!r} feels the forces of every step; substeps = {n} needs None or "
+                "mass-proportional damping"
+            )
+        if self.sleep is not None:
+            raise UnsupportedError(f"Explicit: substeps = {n} with sleep; choose one of them")
+        self.take_turns = self._turned
+
+    @property
+    def _every(self) -> int:
+        """Sub-steps in a step."""
+        return 1 if self.rates is None else self.rates.every
+
+    def _turned(self) -> list[np.ndarray]:
+        """Rotation vectors of the last step, of the batches that turn."""
+        assert self.rates is not None
+        return self.rates.turned
 
     def start(self, system: Any) -> None:
         """Prepare the damping and find the step."""
         self._damping.start(system)
         self._forces, self._advance = work_of(system, self.sleep)
         self._shorten = _safe if system.stiffening and self.dt is None and not self.scaled else _unchanged
+        self._take = self._whole_step
+        if self.substeps > 1:
+            self.rates = Substeps(system, self._damping, self.substeps)
+            self._take = self.rates.step
         self.refresh(system)
 
     def refresh(self, system: Any) -> None:
         """Find the stable step again after contacts have changed."""
-        limit = self.limit(system)
+        limits = self._limits(system)
+        limit = float(limits.min(initial=np.inf))
         if self.dt is None:
             wanted = min(self.safety * limit, system.unseen_motion())
             # in free flight the step stays what it was
-            self.step_length = wanted if np.isfinite(wanted) else getattr(self, "step_length", wanted)
+            self.step_length = wanted if np.isfinite(wanted) else getattr(self, "step_length", wanted) / self._every
         else:
             self.step_length = self.dt
             if self.dt > limit and not getattr(self, "_warned", False):
@@ -267,24 +308,61 @@ class Explicit:
                     FdemWarning,
                     stacklevel=2,
                 )
+        if self.rates is not None:
+            self.rates.choose(self.safety * limits, self.step_length, system.unseen_motion())
+            self.step_length *= self._every
         system.stale = False
+
+    def settle(self, system: Any) -> None:
+        """Bring what goes at rates of its own to the same time."""
+        if self.rates is not None:
+            self.rates.settle()
+
+    def watch(self, system: Any, error: float, turned: float) -> None:
+        """See whether sub-steps make energy: `error` of the balance [J], of what was `turned` over."""
+        if self.rates is not None and self.rates.watch(error, turned):
+            self.refresh(system)
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """What a saved state needs besides the arrays of the system."""
+        return {} if self.rates is None else self.rates.kept()
+
+    def restore(self, arrays: dict[str, Any]) -> None:
+        """Take back what `kept` returned."""
+        if self.rates is not None and arrays:
+            self.rates.restore(arrays)
 
     def restrain(self, system: Any, dt: float) -> None:
         """Real velocities stay as they are."""
 
     def limit(self, system: Any) -> float:
         """Largest step known to be stable [s]; infinite without any stiffness."""
-        omega = float(np.sqrt(system.block_frequencies().max(initial=0.0)))
-        rate = system.dashpot_rate()
-        if omega == 0.0:
-            return 2.0 / rate if rate > 0 else np.inf
-        zeta = max(system.model.damping_ratio, 0.5 * rate / omega)
-        if isinstance(self.damping, Rayleigh):
-            zeta += 0.5 * self.damping.stiffness * omega
-        return 2.0 / omega * (np.sqrt(1.0 + zeta * zeta) - zeta) / np.sqrt(_swing(self.damping))
+        return float(self._limits(system).min(initial=np.inf))
+
+    def _limits(self, system: Any) -> np.ndarray:
+        """Largest steps (n_blocks,) [s] known to be stable for every block."""
+        omega, rate = np.sqrt(system.block_frequencies()), system.dashpot_rate()
+        fastest = float(omega.max(initial=0.0))
+        if fastest == 0.0:
+            return np.full(len(omega), 2.0 / rate if rate > 0 else np.inf)
+        zeta = max(system.model.damping_ratio, 0.5 * rate / fastest)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if isinstance(self.damping, Rayleigh):
+                zeta = zeta + 0.5 * self.damping.stiffness * omega
+            limits = 2.0 / omega * (np.sqrt(1.0 + zeta * zeta) - zeta) / np.sqrt(_swing(self.damping))
+        return np.where(omega > 0.0, limits, np.inf)
 
     def step(self, system: Any, dt: float) -> None:
         """One step of `dt` [s], or shorter where joints stiffen as they close."""
+        self._take(system, dt)
+        if system.stale:
+            system.stale = False
+            if system.stiffened() or (self.rates is not None and self.step_length > system.unseen_motion()):
+                self.refresh(system)
+            elif self.dt is None and not self.scaled:
+                self.step_length = min(self.step_length, system.unseen_motion())
+
+    def _whole_step(self, system: Any, dt: float) -> None:
         self._forces()
         dt = self._shorten(system, dt)
         h = system.lag + 0.5 * dt
@@ -294,12 +372,6 @@ class Explicit:
         system.prescribe(dt)
         self._advance(dt)
         system.lag = 0.5 * dt
-        if system.stale:
-            system.stale = False
-            if system.stiffened():
-                self.refresh(system)
-            elif self.dt is None and not self.scaled:
-                self.step_length = min(self.step_length, system.unseen_motion())
 
 
 @dataclass
@@ -321,6 +393,7 @@ class Relaxation(Explicit):
     safety: float = field(default=0.8, init=False)
     damping: Local | Rayleigh | Adaptive | None = field(default_factory=Local)
     sleep: Sleep | None = field(default=None, init=False, repr=False)
+    substeps: int = field(default=1, init=False, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()

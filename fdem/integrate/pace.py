@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from fdem.loads import Dashpot
+
 __all__ = ["Pace"]
 
 MOTION = 2e-3  # of the smallest block's size per step: corners meet with next to no stiffness, which then grows fast
@@ -24,6 +26,10 @@ class Pace:
     forces: Any
     accelerate: Any
     scaled_kinetic: Any
+    springs: Any
+    loads: Any
+    _speeds: Any
+    _k_used: np.ndarray | None
 
     def unseen_motion(self) -> float:
         """Longest step [s] in which no block moves so far that a stiff contact goes unseen; infinite at rest."""
@@ -101,3 +107,36 @@ class Pace:
             mine = v[batch.dofs].reshape(len(owner), -1)
             mine *= share[owner][:, None]
         self.damped += 0.5 * (before - self.scaled_kinetic(v))
+
+    def stiffened(self) -> bool:
+        """Whether contact stiffness grew by 2 % of its block's largest anywhere, or halved in all, since last asked."""
+        if self.particles is not None and self.particles.stiffened(self._speeds()):
+            return True
+        if self.contacts is None:
+            return False
+        k, model = self.springs().k_gp, self.model
+        if self._k_used is not None:
+            largest = np.zeros(model.n_blocks)
+            np.maximum.at(largest, model.gp_block, self._k_used)
+            if (k <= self._k_used + 0.02 * largest[model.gp_block]).all() and k.sum() >= 0.5 * self._k_used.sum():
+                return False
+        self._k_used = k
+        return True
+
+    def block_frequencies(self) -> np.ndarray:
+        """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""
+        springs, result = self.springs(), np.zeros(self.model.n_blocks)
+        for batch in self.model.batches:
+            result[batch.rows] = batch.step_bound(self.state.q, springs)
+        result[self.model.fixed] = 0.0
+        return result
+
+    def dashpot_rate(self) -> float:
+        """Bound of the decay rate 2 zeta omega [1/s] that dashpots on faces give a gridpoint or a block."""
+        rate = 0.0
+        for load in self.loads:
+            if isinstance(load, Dashpot):
+                strength = np.zeros(len(self.model.X))
+                strength[load.gp] = np.linalg.norm(load.matrices, 2, axis=(1, 2))
+                rate = max([rate, *(batch.decay_bound(self.state.q, strength) for batch in self.model.batches)])
+        return rate

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -13,7 +13,7 @@ from fdem.constraints import Constraints
 from fdem.contact.wear import refuse_leaps
 from fdem.errors import UnstableError
 from fdem.integrate.pace import Pace
-from fdem.loads import Bedding, Dashpot, Load, Torque
+from fdem.loads import Bedding, Load, Torque
 from fdem.model import Model
 from fdem.state import State
 
@@ -64,6 +64,8 @@ class System(Pace):
         self.work = 0.0
         self.damped = 0.0
         self.scaled: list[Any] = [None] * len(model.batches)
+        self.levels: tuple[Any, ...] = ()  # forces found at rates of their own, see `grade`
+        self.surplus: np.ndarray | None = None  # what the impulses of a step have beyond its forces
         self.elastic: np.ndarray | None = None  # elastic forces, kept only if a damping asks for them
         self.elastic_old: np.ndarray | None = None
         self.omega = 0.0  # frequency and forces that `Adaptive` damping goes by
@@ -99,7 +101,7 @@ class System(Pace):
         if self.mean_contact is not None:
             terms.append(partial(np.add, state.f_gp, self.mean_contact, out=state.f_gp))
             terms.append(partial(np.add, state.f, self.mean_moment, out=state.f))
-        elif self.contacts is not None:
+        elif self.contacts is not None and not self.levels:
             terms.append(lambda: self.contacts.forces(state.x, state.x_old, self._real_dt, state.f_gp))
         if self.particles is not None and self.mean_contact is None:
             terms.append(lambda: self.particles.forces(state.x, state.x_old, self._real_dt, state.f_gp, state.f))
@@ -108,11 +110,13 @@ class System(Pace):
                 if not batch.in_place:
                     terms.append(partial(batch.pull, state.q, state.f_gp, state.f))
         for batch in self.model.batches:
-            if batch.has_internal:
+            if batch.has_internal and not self.levels:
                 terms.append(partial(batch.internal, state.q, state.x, state.f))
         terms.append(self._keep_elastic)
         if self.loads:
             terms.append(self._add_loads)
+        if self.levels:
+            terms.append(self._add_levels)
         return tuple(terms)
 
     def _weight(self) -> np.ndarray:
@@ -175,6 +179,44 @@ class System(Pace):
         """Give constrained velocities their values in the middle of the step of length `dt` [s]."""
         self.constraints.prescribe(self.state.v, self.state.q, self.q0, self.state.t + 0.5 * dt, dt)
 
+    def grade(self, levels: Sequence[Any]) -> None:
+        """Let contacts and internal forces be those of `levels`, each found every so many steps.
+
+        Parameters
+        ----------
+        levels : sequence
+            With ``every``, the steps between two impulses, and ``find()``, which returns forces like those of
+            `State` as one array.
+        """
+        self.levels, self.surplus = tuple(levels), None
+        self._terms, self.current = self._choose_terms(), False
+
+    def _add_levels(self) -> None:
+        state = self.state
+        self.surplus = np.zeros_like(state.f)
+        for level in self.levels:
+            found = level.find()
+            state.forces += found
+            if level.every > 1:
+                self.surplus += (level.every - 1) * found[: len(state.f)]
+
+    def act(self, sub_step: int) -> None:
+        """Find the forces whose impulses are due in a sub-step, each as often as it counts."""
+        state = self.state
+        state.f_gp[self.first_pulled :].fill(0.0)
+        np.copyto(state.f, self.weight)
+        for term in self._terms[:-1]:
+            term()
+        for level in self.levels:
+            if sub_step % level.every == 0:
+                found = level.find()
+                state.forces += found if level.every == 1 else level.every * found
+
+    def feel(self) -> np.ndarray:
+        """Forces of the present configuration, each as often as its impulse counts now [N, N m]."""
+        f = self.forces()
+        return f if self.surplus is None else f + self.surplus
+
     def commit(self) -> None:
         """Accept the forces of the present configuration: memory of contacts, work of loads."""
         self.work += self.pending_work()
@@ -230,11 +272,17 @@ class System(Pace):
             work += 0.5 * float((self._turning_old + self._turning) @ self._spun)
         if self._reaction_old is not None and self.state.step > 0:
             given = self.dt * self.constraints.given(self.state.v) if self.given is None else self.given
-            work -= 0.5 * float((self._reaction_old + self.state.f) @ given)
+            f = self.state.f if self.surplus is None else self.state.f + self.surplus
+            work -= 0.5 * float((self._reaction_old + f) @ given)
         return work
 
     def advance(self, dt: float) -> None:
         """Move the configuration by `dt` [s] with the present velocities; look for contacts if due."""
+        self.move(dt)
+        self.arrive(self.state.x_old, dt)
+
+    def move(self, dt: float) -> None:
+        """Move the configuration by `dt` [s] with the present velocities."""
         state = self.state
         aims = [group.aim(state.q, state.v, dt) for group in self.constraints.coupled]
         if self._spun is not None:
@@ -245,21 +293,25 @@ class System(Pace):
             group.meet(state.q, aim)
         for batch in self.model.batches:
             batch.place(state.q, state.x)
-        state.t, state.step = state.t + dt, state.step + 1
+        state.t += dt
         self.dt = dt
         self.current = False
+
+    def arrive(self, before: np.ndarray, dt: float) -> None:
+        """Count a step of `dt` [s] that began at `before` (n_gp, 3) [m], and look for contacts if due."""
+        state = self.state
+        state.step += 1
         if self.contacts is not None and (self.contacts.update(state.x) or self.contacts.stiffer):
             self.stale = True
-            refuse_leaps(self.contacts, state.x_old, state.x)
-        if self.particles is not None and self.particles.update(state.x, state.x_old, state.v, dt):
+            refuse_leaps(self.contacts, before, state.x)
+        if self.particles is not None and self.particles.update(state.x, before, state.v, dt):
             self.stale = True
 
     def velocity(self) -> np.ndarray:
         """Velocities at the time of the configuration, not half a step behind (n_dofs,)."""
         if self.lag == 0.0:
             return self.state.v.copy()
-        self.forces()
-        self.accelerate(self.state.f)
+        self.accelerate(self.feel())
         if self.rate is None or (self.fictitious and self.rate is self.alpha):
             v = self.state.v + self.lag * self.a
         else:
@@ -292,39 +344,6 @@ class System(Pace):
     def bedded(self) -> list[np.ndarray]:
         """Gridpoints of every elastic support."""
         return [load.gp for load in self.loads if isinstance(load, Bedding)]
-
-    def stiffened(self) -> bool:
-        """Whether contact stiffness grew by 2 % of its block's largest anywhere, or halved in all, since last asked."""
-        if self.particles is not None and self.particles.stiffened(self._speeds()):
-            return True
-        if self.contacts is None:
-            return False
-        k, model = self.springs().k_gp, self.model
-        if self._k_used is not None:
-            largest = np.zeros(model.n_blocks)
-            np.maximum.at(largest, model.gp_block, self._k_used)
-            if (k <= self._k_used + 0.02 * largest[model.gp_block]).all() and k.sum() >= 0.5 * self._k_used.sum():
-                return False
-        self._k_used = k
-        return True
-
-    def block_frequencies(self) -> np.ndarray:
-        """Upper bounds of the squared frequency (n_blocks,) [1/s^2]; 0 for fixed blocks."""
-        springs, result = self.springs(), np.zeros(self.model.n_blocks)
-        for batch in self.model.batches:
-            result[batch.rows] = batch.step_bound(self.state.q, springs)
-        result[self.model.fixed] = 0.0
-        return result
-
-    def dashpot_rate(self) -> float:
-        """Bound of the decay rate 2 zeta omega [1/s] that dashpots on faces give a gridpoint or a block."""
-        rate = 0.0
-        for load in self.loads:
-            if isinstance(load, Dashpot):
-                strength = np.zeros(len(self.model.X))
-                strength[load.gp] = np.linalg.norm(load.matrices, 2, axis=(1, 2))
-                rate = max([rate, *(batch.decay_bound(self.state.q, strength) for batch in self.model.batches)])
-        return rate
 
     @property
     def _real_dt(self) -> float:

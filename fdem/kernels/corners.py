@@ -43,10 +43,11 @@ def corner_energy(pair, active, gap, area, align, kn, corner, sums, slopes, fact
             continue
         for row in range(3 * i, 3 * i + 3):
             if gap[row] <= ROUND_OFF * math.sqrt(area[row]):
+                depth = max(-gap[row], 0.0)  # depths of either sign, all round-off, would leave sums of noise
                 sums[k, 0] += area[row]
-                sums[k, 1] -= area[row] * gap[row]
-                sums[k, 2] += area[row] * gap[row] * gap[row]
-                sums[k, 3] -= area[row] * gap[row] * align[row]
+                sums[k, 1] += area[row] * depth
+                sums[k, 2] += area[row] * depth * depth
+                sums[k, 3] += area[row] * depth * align[row]
     for k in range(len(corner)):
         if not sums[k, 2] > 0.0:
             continue
@@ -59,11 +60,11 @@ def corner_energy(pair, active, gap, area, align, kn, corner, sums, slopes, fact
         slopes[k, 1] = stiff * delta / q1 * (2.0 * share - bend)
         energy[k] = 0.5 * stiff * delta * delta * share
         if sums[k, 3] > 0.0:
-            factor[k] = 1.0 + (slopes[k, 0] * closed + slopes[k, 1] * q1) / (kn[k] * sums[k, 3])
+            factor[k] = max(1.0 + (slopes[k, 0] * closed + slopes[k, 1] * q1) / (kn[k] * sums[k, 3]), 0.0)
 
 
 @kernel
-def corner_tractions(pair, active, gap, area, face_normal, slopes, factor, ks, memory, traction, work, energy):
+def corner_tractions(pair, active, gap, area, face_normal, kn, slopes, factor, ks, memory, traction, work, energy):
     """Add the tractions ``(dU/dQ1 + 2 d dU/dQ2) n_f`` [Pa] on the slave to those of the joint laws (3 n_patches, 4).
 
     Shear stiffness and strength grow with the normal force: the law's shear traction, its work and the energy of the
@@ -76,9 +77,25 @@ def corner_tractions(pair, active, gap, area, face_normal, slopes, factor, ks, m
         for row in range(3 * i, 3 * i + 3):
             if gap[row] <= ROUND_OFF * math.sqrt(area[row]):
                 t = slopes[k, 0] - slopes[k, 1] * gap[row]
+                p, held = -kn[k] * gap[row], factor[k]
+                if traction[row, 0] > p > 0.0:  # what a dashpot adds to the pressure counts once
+                    held = (factor[k] * p + traction[row, 0] - p) / traction[row, 0]
                 slip = 0.0
                 for d in range(3):
-                    traction[row, 1 + d] = factor[k] * traction[row, 1 + d] + t * face_normal[i, d]
+                    traction[row, 1 + d] = held * traction[row, 1 + d] + t * face_normal[i, d]
                     slip += memory[row, d] ** 2
-                work[row, 0] *= factor[k]
-                energy[k] += 0.5 * (factor[k] - 1.0) * ks[i] * area[row] * slip
+                work[row, 0] *= held
+                energy[k] += 0.5 * (held - 1.0) * ks[i] * area[row] * slip
+
+
+@kernel
+def carry_slip(pair, active, before, factor, memory):
+    """Let elastic slip (3 n_patches, 3+) keep its energy while `factor` (n_pairs,) goes on from `before`."""
+    for i in range(len(pair)):
+        k = pair[i]
+        if active[i] == 0 or before[k] == factor[k]:
+            continue
+        share = math.sqrt(before[k] / factor[k]) if factor[k] > 0.0 else 0.0
+        for row in range(3 * i, 3 * i + 3):
+            for d in range(3):
+                memory[row, d] *= share
