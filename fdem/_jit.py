@@ -65,7 +65,7 @@ def kernel(function: Callable[..., Any] | None = None, *, fastmath: bool = False
     kernels of the *same file* only: numba's disk cache does not see edits elsewhere.
     ``FDEM_CACHE=0`` switches the disk cache off, ``FDEM_CHECK=1`` switches bounds checks on.
 
-    A first start is spent compiling: some 2 ms for an element of an array read, 5 for an ``if``, 10 for a loop, hundreds
+    A first start is spent compiling: 2 ms for an element of an array read, 5 for an ``if``, 10 for a loop, hundreds
     for ``np.sort``, ``np.argsort``, ``np.searchsorted`` or an array assigned to a slice, which brings its own messages.
     A literal handed to a helper, or a variable that starts as one, compiles it once more: start it as ``np.int64(0)``.
     An argument None takes away the branches ``if argument is not None``, with the helpers that only they call.
