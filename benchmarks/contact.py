@@ -127,8 +127,8 @@ def clip(name: str, body: object, edge: float) -> None:
 
     def clipped() -> None:
         clipping.clip_faces(
-            *near, c.master, c._window, size, most, corners, s.corner_start, s.corner_w, s.ref, s.limit, s.convex,
-            s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper, g.lean, g.tree,
+            *near, c.master, c._window, size, most, corners, s.face_start, s.corner_start, s.corner_w, s.ref, s.limit,
+            s.mixed, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.search,
         )  # fmt: skip
 
     def cut() -> None:

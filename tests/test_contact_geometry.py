@@ -317,8 +317,14 @@ def test_moment_points_are_exact_to_degree_two():
         poly = np.ascontiguousarray(np.c_[3 * np.cos(angle), 0.2 * np.sin(angle)] + g.normal(size=2))
         if (np.diff(np.r_[angle, angle[0] + 2 * np.pi]) > np.pi).any():
             continue
-        points, ratio = np.zeros((1, 3, 2)), np.zeros(1)
-        footprints.reference_points(np.array([0, 7], np.int32), poly, points, ratio)
+        points, ratio, gp, x = (
+            np.zeros((1, 3, 2)),
+            np.zeros(1),
+            np.arange(7, dtype=np.int32)[None],
+            g.normal(size=(7, 3)),
+        )
+        ends, sizes, places = np.array([0, 7], np.int32), np.zeros((4, 1)), np.zeros((3, 1, 3))
+        footprints.measure(gp, ends, poly, places[0], x, points, ratio, *sizes, *places[1:])
         exact = np.zeros(3)
         for i in range(1, 6):
             tri = poly[[0, i, i + 1]]

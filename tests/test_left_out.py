@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -83,6 +84,59 @@ def test_scenes_without_zones_import_no_mesher_and_no_assembly():
     heavy = {"gmsh", "skfem", "pyvista", "meshio", "matplotlib", "vtkmodules"}
     assert not heavy & loaded("fdem.Rigid(), fdem.UniformStrain(), fdem.LinearStrain()")
     assert "gmsh" in loaded("fdem.Rigid(), fdem.Zoned(size=0.5)")  # the test would see it
+
+
+COMPILED = """
+import sys
+from pathlib import Path
+import fdem
+import examples.incline as incline
+fdem.Simulation.plot = lambda *a, **k: None
+incline.main(Path(sys.argv[1]))
+for name, module in sorted(sys.modules.items()):
+    if name.startswith("fdem.kernels."):
+        for key, value in vars(module).items():
+            if n := len(getattr(value, "signatures", ())):
+                print(name.removeprefix("fdem.kernels.") + "." + key, n)
+"""
+# all that a rigid block on a rigid base needs while it slides, with cuts, damping, energies and a history
+SLIDING = {
+    "blocks": {"rigid_place", "rigid_push", "rigid_pull", "rigid_accelerate", "rigid_advance"},
+    "clipping": {"clip_faces"},
+    "footprints": {"close_patches", "measure", "along_edges", "closed_points", "latent_reach"},
+    "geometry": {"face_geometry", "face_pairs"},
+    "joints": {"coulomb", "total_work"},
+    "memory": {"carry_memory", "keep", "slip_energy"},
+    "patches": {"weights_at", "fill_rows", "reduced_mass", "scatter", "stored_energy"},
+    "upkeep": {"moved", "block_motion", "closing", "worn_pairs", "prune"},
+}
+
+
+def signatures(folder, **environment):
+    """Kernels that the example of the sliding block calls, with the numbers of their signatures."""
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILED, str(folder)], capture_output=True, text=True, cwd=ROOT, check=True,
+        env=os.environ | environment,
+    )  # fmt: skip
+    return {name: int(n) for name, n in map(str.split, done.stdout.splitlines())}
+
+
+def test_a_sliding_block_needs_few_kernels_and_each_for_one_layout_of_its_arrays(tmp_path):
+    """What this costs at the first start: a kernel more is half a second, a second layout its kernel once more."""
+    found = {name: n for name, n in signatures(tmp_path).items() if "._" not in name}  # helpers: below
+    assert set(found) <= {f"{file}.{name}" for file, names in SLIDING.items() for name in names}
+    assert set(found.values()) == {1}
+    assert {"clipping.clip_faces", "memory.keep", "joints.coulomb"} <= set(found)  # the test sees them
+
+
+@pytest.mark.long
+def test_a_first_start_compiles_no_helper_twice_nor_those_of_other_bodies(tmp_path):
+    """Helpers too, which a warm start does not show: of convex blocks none that only other ones need."""
+    found = signatures(tmp_path, FDEM_CACHE="0")
+    assert {name: n for name, n in found.items() if n > 1} == {}
+    assert "clipping._cut" in found
+    others = ("clipping._rival", "clipping._owns", "clipping._upright", "clipping._near", "geometry._sort")
+    assert not set(others) & set(found)
 
 
 def test_rigid_blocks_have_no_strain_and_spheres_no_orientation(monkeypatch):

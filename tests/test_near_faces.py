@@ -10,8 +10,9 @@ from bodies import rotation
 from stress.meshes import box_mesh
 
 import fdem
+from fdem.contact.depth import few_convex
 from fdem.contact.surface import FaceGeometry
-from fdem.kernels import clipping, geometry
+from fdem.kernels import clipping, geometry, trees
 
 ROCK = fdem.Elastic(2500.0, 1e9, 0.2)
 
@@ -86,15 +87,15 @@ def inputs(c, x):
         g.normal, g.lower, g.upper, g.block_lower, g.block_upper, g.lean, g.tree,
     )  # fmt: skip
     clip = (
-        c.master, c._window, size, most, int(np.diff(s.corner_start).max()), s.corner_start, s.corner_w, s.ref,
-        s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind, g.lower, g.upper,
+        c.master, c._window, size, most, int(np.diff(s.corner_start).max()), s.face_start, s.corner_start,
+        s.corner_w, s.ref, s.limit, s.mixed, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind,
     )  # fmt: skip
     return pairs, clip
 
 
 def all_faces(c):
     """What a clip takes that leaves nothing out: all faces of slave and master, one leaf per block that holds all."""
-    s = c.surfaces
+    s, g = c.surfaces, c._geometry
     faces = [
         np.array([(a, f) for f in range(*s.face_start[m : m + 2]) for a in range(*s.face_start[b : b + 2])], np.int32)
         for b, m in zip(c.slave, c.master, strict=True)
@@ -105,7 +106,8 @@ def all_faces(c):
     nodes = np.column_stack([first[1:], s.face_start[:-1], s.face_start[1:]]).astype(np.int32)
     bounds = np.tile([-np.inf] * 3 + [np.inf] * 3 + [-1.0] * 3 + [1.0] * 6, (s.n_blocks, 1))
     tree = (first, nodes, np.arange(s.n_faces, dtype=np.int32), bounds)
-    return (start, np.concatenate(faces), around), (np.ones((s.n_faces, 3)), tree)
+    search = g.lower, g.upper, np.ones((s.n_faces, 3)), tree, np.empty(s.n_faces, np.int32)
+    return (start, np.concatenate(faces), around), search
 
 
 @pytest.mark.parametrize("depth", [-1e-4, 1e-5, 4e-3, 2e-2])
@@ -120,9 +122,9 @@ def test_patches_are_those_of_a_look_at_all_faces(make, seed, depth):
     x[upper] -= (depth + 1e-3) * up
     pairs, clip = inputs(c, x)
     near = geometry.face_pairs(*pairs)
-    key, corners, margin, *_, deep = clipping.clip_faces(*near, *clip, c._geometry.lean, c._geometry.tree)
+    key, corners, margin, *_, deep = clipping.clip_faces(*near, *clip, c._geometry.search)
     every, flat = all_faces(c)
-    key_all, corners_all, margin_all, *_, deep_all = clipping.clip_faces(*every, *clip, *flat)
+    key_all, corners_all, margin_all, *_, deep_all = clipping.clip_faces(*every, *clip, flat)
     assert len(key) > 3
     assert len(near[1]) < 0.35 * len(every[1])
     np.testing.assert_array_equal(key, key_all)
@@ -173,6 +175,49 @@ def test_extent_of_a_convex_block_is_that_of_all_its_corners():
             np.testing.assert_allclose(found[f], deepest, rtol=1e-12)
 
 
+def stack(seed):
+    """Turned convex blocks of few faces that press on each other: prisms of 3 to 12 sides and a brick."""
+    rng, up = np.random.default_rng(seed), 0.0
+    shapes = []
+    for n in (4, 3, 7, 12):
+        angle = 2 * np.pi * (np.arange(n) + rng.uniform()) / n
+        shapes.append(fdem.prism(np.c_[np.cos(angle), np.sin(angle)], 0.5, "z"))
+        move = np.eye(4)
+        move[2, 3] = up - shapes[-1].points[:, 2].min()
+        shapes[-1] = shapes[-1].transform(move)
+        up = shapes[-1].points[:, 2].max() - 1e-4
+    whole = np.eye(4)
+    whole[:3, :3] = rotation(rng.normal(size=3), rng.uniform(0, 3))
+    return contacts_of([shape.transform(whole) for shape in shapes], fdem.Rigid())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_convex_blocks_of_few_faces_need_no_tree(seed):
+    """Bit for bit the same pairs of faces, patches and thickness as by the search that other scenes compile."""
+    c, x = stack(seed)
+    s, g = c.surfaces, c._geometry
+    assert s.tree is None
+    pairs, clip = inputs(c, x)
+    bare = geometry.face_pairs(*pairs)
+    found = clipping.clip_faces(*bare, *clip, g.search)
+    s.tree = trees.plant(s.face_start, g.lower, g.upper)
+    g = c._geometry = FaceGeometry.of(s)
+    pairs, clip = inputs(c, x)
+    searched = geometry.face_pairs(*pairs)
+    for one, other in zip(bare[:2], searched[:2], strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert len(found[0]) > 3
+    for one, other in zip(found, clipping.clip_faces(*searched, *clip, g.search), strict=True):
+        np.testing.assert_array_equal(one, other)
+    surfaces, thickness, room = (s.face_start, s.corner_start, g.corner_x, g.normal), np.zeros(s.n_faces), s.room * 0
+    few_convex(*surfaces, thickness, room)
+    by_kernel, deepest = thickness * 0, room * 0
+    geometry.thickness(*surfaces, s.convex, s.open, g.tree, by_kernel)
+    geometry.deepest(*surfaces, s.convex, s.open, deepest)
+    np.testing.assert_array_equal(thickness, by_kernel)
+    np.testing.assert_array_equal(room, deepest)
+
+
 def plates(cells):
     """Two plates of so many and three more cells along an edge lie on each other."""
     low = fdem.tet_mesh(*box_mesh((cells, cells, 1), (1, 1, 0), (0, 0, -0.2)))
@@ -210,7 +255,7 @@ def test_set_up_grows_with_the_number_of_faces():
             begin = time.process_time()
             s._measure(x)
             pairs, clip = inputs(c, x)
-            clipping.clip_faces(*geometry.face_pairs(*pairs), *clip, c._geometry.lean, c._geometry.tree)
+            clipping.clip_faces(*geometry.face_pairs(*pairs), *clip, c._geometry.search)
             spent.append(time.process_time() - begin)
         cost.append(min(spent))
     assert cost[1] < 7 * cost[0]

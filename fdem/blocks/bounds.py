@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from fdem.kernels import blocks as kernels
-
 __all__ = ["Springs", "joint_stiffness", "share"]
+
+CHUNK = 20_000  # rows whose matrices are made at a time
 
 
 @dataclass
@@ -94,7 +95,42 @@ def joint_stiffness(
     ``k (u_a - u_b)^2 <= 2 k u_a^2 + 2 k u_b^2``, so a joint between two blocks that move counts twice on both, and
     the largest frequency of any block on these springs is a bound of that of the whole.
     """
+    result = np.zeros(36 * len(centre))
+    for first in range(0, len(rows[0]), CHUNK):
+        some = [column[first : first + CHUNK] for column in rows]
+        row, owner, straight, shear, point = _springs(some, x, gp_block, mobile)
+        at = place[owner]
+        use = (at >= 0) & mobile[owner]
+        row, at = row[use], at[use]
+        ax, ay, az = (point[row] - centre[at]).T
+        turn = np.zeros((len(at), 3, 6))  # motion of the point: translation + rotation x arm
+        turn[:, range(3), range(3)] = 1.0
+        turn[:, 0, 4], turn[:, 1, 5], turn[:, 2, 3] = az, ax, ay
+        turn[:, 0, 5], turn[:, 1, 3], turn[:, 2, 4] = -ay, -az, -ax
+        along = sum(some[2][row, 0, d, None] * turn[:, d] for d in range(3))
+        dot = sum(turn[:, d, :, None] * turn[:, d, None] for d in range(3))
+        more, shear = (straight - shear)[row, None, None], shear[row, None, None]
+        springs = shear * dot + more * along[:, :, None] * along[:, None]
+        # row after row, as a sum of chunks would depend on their length
+        np.add.at(result, (36 * at[:, None] + np.arange(36)).ravel(), springs.ravel())
+    return result.reshape(-1, 6, 6)
+
+
+def _springs(
+    rows: Sequence[Any], x: np.ndarray, gp_block: np.ndarray, mobile: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of both sides of n contact rows: row and block (2 n,); of rows: stiffness across and along, place (n, 3).
+
+    Stiffness [N/m] counts twice between two blocks that move; the larger of both all round where the faces are not
+    parallel within 8 degrees.
+    """
     gp, w, frame, kn, ks = rows
-    result = np.zeros((len(centre), 6, 6))
-    kernels.rigid_joints(gp, w, frame, kn, ks, x, gp_block, mobile, place, np.ascontiguousarray(centre), result)
-    return result
+    a, b, c = (x[gp[:, k]] for k in range(3))
+    point = w[:, 0, None] * a + w[:, 1, None] * b + w[:, 2, None] * c
+    own, normal = np.cross(b - a, c - a), frame[:, 0]
+    cosine = np.abs(own[:, 0] * normal[:, 0] + own[:, 1] * normal[:, 1] + own[:, 2] * normal[:, 2])
+    tilted = cosine <= 0.99 * np.sqrt(own[:, 0] ** 2 + own[:, 1] ** 2 + own[:, 2] ** 2)
+    sides = gp_block[gp[:, [0, 3]]]
+    twice = np.where(mobile[sides].all(axis=1), 2.0, 1.0)
+    straight, shear = (np.where(tilted, np.maximum(kn, ks), k) for k in (kn, ks))
+    return np.repeat(np.arange(len(gp)), 2), sides.ravel(), twice * straight, twice * shear, point

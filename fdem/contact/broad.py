@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 SKIN = 0.02  # of the block size
+FEW = 64  # blocks of which all pairs are looked at
 REACH = 0.75  # of the skin: half of it before the next detection, a quarter that was not yet refreshed
 
 
@@ -41,10 +42,21 @@ def candidate_pairs(surfaces: Surfaces, x: Array, skins: Array, may_touch: Calla
     faced = np.flatnonzero(np.diff(s.surface_start))
     lower = np.minimum.reduceat(points, s.surface_start[faced], axis=0)
     upper = np.maximum.reduceat(points, s.surface_start[faced], axis=0)
-    pairs: Ints = faced[kernels.box_pairs(lower, upper, REACH * skins[faced], s.fixed[faced])].astype(np.int32)
+    pairs: Ints = faced[box_pairs(lower, upper, REACH * skins[faced], s.fixed[faced])].astype(np.int32)
     if may_touch is not None and len(pairs):
         pairs = pairs[np.asarray(may_touch(pairs[:, 0], pairs[:, 1]), dtype=bool)]
     return pairs
+
+
+def box_pairs(lower: Array, upper: Array, reach: Array, fixed: Any) -> Ints:
+    """`kernels.broad.box_pairs`; of few blocks all pairs are looked at, which spares a small scene its compilation."""
+    if len(reach) > FEW:
+        pairs: Ints = kernels.box_pairs(lower, upper, reach, fixed)
+        return pairs
+    low, high = lower - reach[:, None], upper + reach[:, None]
+    i, j = np.triu_indices(len(reach), 1)
+    meet = ((low[i] <= high[j]) & (low[j] <= high[i])).all(axis=1) & ~((fixed[i] != 0) & (fixed[j] != 0))
+    return np.column_stack([i[meet], j[meet]]).astype(np.int32)
 
 
 def common_pairs(old: Ints, new: Ints) -> tuple[Any, Any, Ints]:

@@ -185,7 +185,7 @@ class Contacts:
         if self.clip_always:
             return self._redo(x, np.ones(s.n_blocks, bool))
         due = np.zeros(len(self.pairs), np.uint8)
-        if not closing(self, x, due) and not upkeep.moved(
+        if not (self._ajar and closing(self, x, due)) and not upkeep.moved(
             s.movers, s.surface_gp, s.surface_start, x, self.x_check, self._tolerance
         ):
             return False
@@ -316,7 +316,9 @@ class Contacts:
             np.minimum.at(tolerance, blocks[pair], r)
         self._tolerance = tolerance
         self._depth, self._face_normal = np.zeros((n, 3)), np.zeros((n, 3))
+        self._ajar = bool((p.flags & kernels.AJAR).any())
         self._partner: Ints | None = None
+        self._walled = False  # whether cells meet on a slave face; known with the partners
         self._bundle()
 
     def _bundle(self) -> None:

@@ -66,6 +66,19 @@ def inherit_laws(old: Patches, new: Patches, n_faces: int) -> Any:
     return ~found
 
 
+def _same(old: Patches, new: Patches, n_faces: int) -> Any:
+    """For every new patch the one closed old patch (n,) of the same two faces; -1 if there is none, or several."""
+    held = np.flatnonzero(old.active_old)
+    before = old.face_s[held].astype(np.int64) * n_faces + old.face_m[held]
+    after = new.face_s.astype(np.int64) * n_faces + new.face_m
+    order = np.argsort(before, kind="stable")
+    first, last = (np.searchsorted(before[order], after, side=side) for side in ("left", "right"))
+    same = np.full(len(new), -1)
+    one = last - first == 1
+    same[one] = held[order[first[one]]]
+    return same
+
+
 def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) -> Array:
     """Fill points, activity, memory and failures of `new` patches from `old` ones of the same pairs (CONTACT.md 3.7).
 
@@ -92,14 +105,19 @@ def inherit_history(surfaces: Surfaces, old: Patches, new: Patches, x: Array) ->
         new.active_old, area,
     )  # fmt: skip
     new.area_old[:] = area / 3.0
-    memory.inherit(
-        new.pair, new.face_s, new.face_m, new.gp, new.points_old, new.active_old, new.memory_old, old.pair, old.face_s,
-        old.face_m, old.gp, old.points_old, old.active_old, old.memory_old, x,
-    )  # fmt: skip
-    # failures stay with two faces; where a face meets a new one without a bond, what has failed on it goes along
+    # old patches of the same slave face
     old_face = old.pair.astype(np.int64) * surfaces.n_faces + old.face_s
     new_face = new.pair.astype(np.int64) * surfaces.n_faces + new.face_s
     begin, end = (np.searchsorted(old_face, new_face, side=side) for side in ("left", "right"))
+    same = _same(old, new, surfaces.n_faces)
+    memory.keep(same, new.points_old, new.active_old, new.memory_old, old.points_old, old.memory_old)
+    if ((same < 0) & (new.active_old > 0)).any():
+        first, last = (np.searchsorted(old.pair, new.pair, side=side) for side in ("left", "right"))
+        memory.inherit(
+            same, first, last, begin, end, new.face_s, new.face_m, new.gp, new.points_old, new.active_old,
+            new.memory_old, old.face_s, old.face_m, old.gp, old.points_old, old.active_old, old.memory_old, x,
+        )  # fmt: skip
+    # failures stay with two faces; where a face meets a new one without a bond, what has failed on it goes along
     worst = np.zeros(len(old) + 1, np.uint8)
     np.maximum.at(worst, np.searchsorted(old_face, old_face), old.failure.max(axis=1, initial=0))
     new.failure[found] = old.failure[at[found]]

@@ -184,20 +184,16 @@ def cut_pairs(
         g.corner_x, g.normal, g.lower, g.upper, g.block_lower, g.block_upper, g.lean, g.tree,
     )  # fmt: skip
     key, corners, margin, miss, miss_face, too_deep = clipping.clip_faces(
-        *near, master[which], window[which], size, most, int(np.diff(s.corner_start).max()), s.corner_start,
-        s.corner_w, s.ref, s.limit, s.convex, s.affine, s.open, x, g.corner_x, g.normal, g.wall, g.kind,
-        g.lower, g.upper, g.lean, g.tree,
+        *near, master[which], window[which], size, most, int(np.diff(s.corner_start).max()), s.face_start,
+        s.corner_start, s.corner_w, s.ref, s.limit, s.mixed, s.affine, s.open, x,
+        g.corner_x, g.normal, g.wall, g.kind, g.search,
     )  # fmt: skip
     local, face_s, face_m = np.ascontiguousarray(key[:, :3].T)
+    corners, margin = corners.copy(), margin.copy()  # not with all the room they were made in
     start = np.r_[0, key[:, 3]].astype(np.int32)
     n = len(local)
     bare = np.flatnonzero(np.bincount(local, minlength=len(which)) == 0)
-    lost = np.zeros(len(bare), np.uint8)
-    faces.swallowed(
-        slave[which[bare]], master[which[bare]], g.block_lower, g.block_upper, s.face_start, s.corner_start, g.corner_x,
-        s.open, lost,
-    )  # fmt: skip
-    too_deep[bare] |= lost
+    too_deep[bare] |= _swallowed(s, g, slave[which[bare]], master[which[bare]])
     pair = which[local].astype(np.int32)
     gp = np.column_stack([s.ref[face_s, :3], s.ref[face_m]]).astype(np.int32)
     p = Patches.none(memory)
@@ -211,10 +207,9 @@ def cut_pairs(
         w_clip=np.zeros((3 * n, 7)), reach=np.zeros(n), normal_reach=np.zeros(n), cluster=np.zeros(n, np.int32),
         metric=metric_of(gp, x),
     )  # fmt: skip
-    footprints.reference_points(start, corners, p.ref_points, p.ref_ratio)
     area, closed, align, depth = sizes = [np.zeros(n) for _ in range(4)]
     plane_depth, centre = np.zeros((n, 3)), np.zeros((n, 3))
-    footprints.measure(gp, start, corners, p.offset, x, *sizes, plane_depth, centre)
+    footprints.measure(gp, start, corners, p.offset, x, p.ref_points, p.ref_ratio, *sizes, plane_depth, centre)
     # side strips are weighed by what is closed: they exist only as far as the blocks overlap
     facing, keep = align > STRIP, np.zeros(n, bool)
     largest, largest_closed, nearest = np.zeros(len(which)), np.zeros(len(which)), miss.copy()
@@ -237,12 +232,28 @@ def cut_pairs(
     ghosts = _ghosts(s, which, empty, miss_face, nearest + TRAVEL * travel, x, p, local, dropped, area, depth)
     ids = np.flatnonzero(keep)
     p = p.take(ids) if len(ids) < n else p
-    # where corners meet, two places agree within what merging faces moves them
-    upkeep.clusters(p.pair, align[ids] > ALIGNED, p.gp, p.start, p.corners, x, TOUCH * s.size[slave], p.cluster)
+    _find_clusters(s, p, align[ids] > ALIGNED, x, slave)
     kernels.weights_at(p.gp, s.has_behind[p.face_m], p.ref_points, x, p.w_clip)
     return Cut(
         p, ghosts, which[too_deep == 1], area[ids], closed[ids], align[ids], depth[ids], plane_depth[ids], centre[ids]
     )
+
+
+def _swallowed(s: Surfaces, g: FaceGeometry, slave: Ints, master: Ints) -> NDArray[np.uint8]:
+    """1 for pairs (n,) uint8 one block of which lies inside the other."""
+    lost = np.zeros(len(slave), np.uint8)
+    if len(slave):
+        faces.swallowed(
+            slave, master, g.block_lower, g.block_upper, s.face_start, s.corner_start, g.corner_x, s.open, lost
+        )
+    return lost
+
+
+def _find_clusters(s: Surfaces, p: Patches, aligned: Any, x: Array, slave: Ints) -> None:
+    """Number the sets of patches that hang together, in pairs of several patches that are not all `aligned` (n,)."""
+    if (~(aligned[1:] & aligned[:-1]) & (p.pair[1:] == p.pair[:-1])).any():
+        # where corners meet, two places agree within what merging faces moves them
+        upkeep.clusters(p.pair, aligned, p.gp, p.start, p.corners, x, TOUCH * s.size[slave], p.cluster)
 
 
 def _slide(volume: Any, size: Array) -> Array:
@@ -258,10 +269,11 @@ def _normal_reach(
     """How far [m] every patch may go into its master face before its pair is cut anew; `local` (n,): its pair."""
     area, closed, _, depth = sizes
     # until a strip that was left out comes to weigh
-    latent = np.full(len(travel), np.inf)
-    footprints.latent_reach(
-        local, keep | facing, p.start, p.corners, plane_depth - p.offset, area, p.ref_ratio, level, latent
-    )
+    latent, skip = np.full(len(travel), np.inf), keep | facing
+    if (~skip & (area > level[local])).any():
+        footprints.latent_reach(
+            local, skip, p.start, p.corners, plane_depth - p.offset, area, p.ref_ratio, level, latent
+        )
     latent = np.maximum(latent, LATENT_TRAVEL * travel)
     # a strip gains closed area as the pair slides into it: no more force than TRAVEL of the pair's
     volume = np.bincount(local[facing], 0.5 * (closed * np.maximum(depth, 0.0))[facing], len(travel))

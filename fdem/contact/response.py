@@ -144,7 +144,11 @@ def _through_walls(c: Contacts, active: Any) -> float:
     if c._partner is None:
         c._partner = np.full(len(p.corners), -1, dtype=np.int32)
         order = np.lexsort((p.face_s, p.pair)).astype(np.int32)
-        energy.partners(order, p.pair, p.face_s, p.flags, p.start, p.corners, c._partner)
+        if ((np.diff(p.pair[order]) == 0) & (np.diff(p.face_s[order]) == 0)).any():
+            energy.partners(order, p.pair, p.face_s, p.flags, p.start, p.corners, c._partner)
+        c._walled = bool((c._partner >= 0).any())
+    if not c._walled:
+        return 0.0
     kn = c._kn
     for k, law in enumerate(c.laws):
         if law.closure is not None and c._law_start[k + 1] > c._law_start[k]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdem.contact.depth import few_convex
 from fdem.contact.polygons import convex_faces, largest_triangle, true_corners, weights
 from fdem.errors import MeshError
 from fdem.kernels import geometry as kernels
@@ -27,6 +28,7 @@ SHARP_ZONED = 0.9  # cosine above which two zone triangles count as one smooth s
 SHARP_AFFINE = 1.0 - 1e-12
 DEPTH_FRACTION = 0.25  # of the local thickness: where contact stops being a boundary phenomenon
 ROOM_FRACTION = 0.5  # of the depth of the deepest point, which is half the thickness between parallel faces
+FEW = 32  # faces of a block up to which a tree over them pays for nothing
 LEAST_DEPTH = 0.01  # of the block size: depth admitted even behind a facet at the tip of a wedge
 
 
@@ -103,8 +105,9 @@ class Surfaces:
         Blocks that may move.
     deep : (n_blocks,)
         Largest of the limits of the faces [m].
-    tree : tuple of int32 arrays
-        Trees over the faces of every block, from `trees.plant`.
+    tree : tuple of int32 arrays or None
+        Trees over the faces of every block, from `trees.plant`; None if all blocks are convex and have few faces,
+        which are all looked at.
     """
 
     face_start: Ints
@@ -132,7 +135,7 @@ class Surfaces:
     surface_start: Ints
     movers: Ints
     deep: Array
-    tree: tuple[Ints, ...]
+    tree: tuple[Ints, ...] | None
 
     @property
     def n_blocks(self) -> int:
@@ -143,6 +146,11 @@ class Surfaces:
     def n_faces(self) -> int:
         """Number of faces."""
         return len(self.face_block)
+
+    @property
+    def mixed(self) -> NDArray[np.uint8] | None:
+        """`convex`; None if all blocks are: kernels then leave out what only others need, compiled code too."""
+        return None if self.convex.all() else self.convex
 
     @classmethod
     def build(cls, blocks: Sequence[BlockSurface], x: Array) -> Surfaces:
@@ -201,57 +209,52 @@ class Surfaces:
             surface_start=np.r_[0, np.cumsum([len(g) for g in surface_gp])].astype(np.int32),
             movers=np.flatnonzero([not b.still for b in blocks]).astype(np.int32),
             deep=np.zeros(len(blocks)),
-            tree=(),
+            tree=None,
         )
-        s.tree = trees.plant(s.face_start, *s._boxes(x))
         s._measure(x)
         return s
 
-    def _boxes(self, x: Array) -> tuple[Array, Array]:
-        """Smallest and largest coordinates (n_faces, 3) of the faces [m]."""
-        w = np.column_stack([1.0 - self.corner_w.sum(axis=1), self.corner_w])
-        corner_x = np.einsum("ck,ckd->cd", w, x[np.repeat(self.ref[:, :3], np.diff(self.corner_start), axis=0)])
-        first = self.corner_start[:-1]
-        return np.minimum.reduceat(corner_x, first, axis=0), np.maximum.reduceat(corner_x, first, axis=0)
-
     def _measure(self, x: Array) -> None:
         """Convexity of blocks and depth limits of faces, in the positions `x`."""
+        blocks = np.arange(self.n_blocks, dtype=np.int32)
         geo = FaceGeometry.of(self)
-        geo.refresh(self, x, np.arange(self.n_blocks, dtype=np.int32))
-        kernels.convex_blocks(
-            self.face_start,
-            self.corner_start,
-            self.neighbour,
-            geo.normal,
-            geo.corner_x,
-            self.affine,
-            self.open,
-            self.convex,
-        )
-        kernels.thickness(
-            self.face_start,
-            self.corner_start,
-            geo.corner_x,
-            geo.normal,
-            self.convex,
-            self.open,
-            geo.tree,
-            self.limit,
-        )
+        geo.refresh(self, x, blocks)
         owner = np.repeat(np.arange(self.n_faces), np.diff(self.corner_start))
+        self._mark_convex(geo, owner)
+        if self.mixed is None and np.diff(self.face_start).max(initial=0) <= FEW:
+            few_convex(self.face_start, self.corner_start, geo.corner_x, geo.normal, self.limit, self.room)
+        else:
+            self.tree = trees.plant(self.face_start, geo.lower, geo.upper)
+            geo = FaceGeometry.of(self)
+            geo.refresh(self, x, blocks)
+            surfaces = self.face_start, self.corner_start, geo.corner_x, geo.normal, self.convex, self.open
+            kernels.thickness(*surfaces, geo.tree, self.limit)
+            kernels.deepest(*surfaces, self.room)
         flat = (self.neighbour >= 0) & (np.einsum("ij,ij->i", geo.normal[owner], geo.normal[self.neighbour]) > 0.9999)
         for _ in range(4):  # a triangle beside an acute edge shares the thickness of its plane
             np.maximum.at(self.limit, owner[flat], self.limit[self.neighbour[flat]])
         self.limit *= DEPTH_FRACTION
         # behind the faces of a tetrahedron no point is as deep as a quarter of its height
-        kernels.deepest(
-            self.face_start, self.corner_start, geo.corner_x, geo.normal, self.convex, self.open, self.room
-        )  # fmt: skip
         least = LEAST_DEPTH * np.where(np.isfinite(self.size), self.size, 0.0)
         self.most[:] = np.maximum(ROOM_FRACTION * self.room, least)
         np.maximum(self.limit, least[self.face_block], out=self.limit)
         np.minimum(self.limit, self.most[self.face_block], out=self.limit)
         np.maximum.at(self.deep, self.face_block, self.limit)
+
+    def _mark_convex(self, geo: FaceGeometry, owner: Any) -> None:
+        """Affine closed blocks all of whose edges are convex (a closed connected surface is then convex).
+
+        `owner` (n_corners,): the face of a corner.
+        """
+        following = np.arange(1, len(owner) + 1)
+        following[self.corner_start[1:] - 1] = self.corner_start[:-1]
+        ex, ey, ez = (geo.corner_x[following] - geo.corner_x).T
+        nx, ny, nz = geo.normal[owner].T
+        gx, gy, gz = geo.normal[self.neighbour].T
+        tilt = gx * (ny * ez - nz * ey) + gy * (nz * ex - nx * ez) + gz * (nx * ey - ny * ex)
+        bad = (self.neighbour < 0) | (tilt > 1e-9 * np.sqrt(ex * ex + ey * ey + ez * ez))
+        self.convex[:] = (self.affine == 1) & (self.open == 0)
+        self.convex[self.face_block[owner[bad]]] = 0
 
 
 @dataclass
@@ -259,7 +262,7 @@ class FaceGeometry:
     """Positions, normals, walls, boxes of faces and trees in the current configuration (scratch of the clip).
 
     `lean` (n_faces, 3): how far the cell of a face grows beyond its box in every direction, per height above or below
-    the face; 1 where edges do not bound it.
+    the face; 1 where edges do not bound it. It and the trees are None where none is searched.
     """
 
     corner_x: Array
@@ -270,17 +273,25 @@ class FaceGeometry:
     upper: Array
     block_lower: Array
     block_upper: Array
-    lean: Array
-    tree: tuple[Any, ...]
+    lean: Array | None
+    tree: tuple[Any, ...] | None
+
+    @property
+    def search(self) -> tuple[Any, ...] | None:
+        """What `clipping` takes to find faces near others, with room for them; None where all are looked at."""
+        if self.tree is None:
+            return None
+        return self.lower, self.upper, self.lean, self.tree, np.empty(len(self.lower), np.int32)
 
     @classmethod
     def of(cls, s: Surfaces) -> FaceGeometry:
         """Allocate for the surfaces `s`."""
-        nc, nf, nb, nn = len(s.corner_w), s.n_faces, s.n_blocks, len(s.tree[1])
+        nc, nf, nb = len(s.corner_w), s.n_faces, s.n_blocks
         return cls(
             np.zeros((nc, 3)), np.zeros((nf, 3)), np.zeros((nc, 3)), np.zeros(nc, np.int8),
             np.zeros((nf, 3)), np.zeros((nf, 3)), np.zeros((nb, 3)), np.zeros((nb, 3)),
-            np.ones((nf, 3)), (*s.tree, np.zeros((nn, 15))),
+            None if s.tree is None else np.ones((nf, 3)),
+            None if s.tree is None else (*s.tree, np.zeros((len(s.tree[1]), 15))),
         )  # fmt: skip
 
     def refresh(self, s: Surfaces, x: Array, blocks: Ints) -> None:
@@ -288,9 +299,11 @@ class FaceGeometry:
         kernels.face_geometry(
             blocks, s.face_start, s.corner_start, s.corner_w, s.ref, s.neighbour, s.sharp, s.open, x,
             self.corner_x, self.normal, self.wall, self.kind, self.lower, self.upper,
-            self.block_lower, self.block_upper, self.lean,
+            self.block_lower, self.block_upper,
         )  # fmt: skip
-        trees.grow(blocks, *self.tree, self.lower, self.upper, self.normal, self.lean)
+        if self.tree is not None:
+            kernels.leans(blocks, s.face_start, s.corner_start, self.wall, self.kind, self.normal, self.lean)
+            trees.grow(blocks, *self.tree, self.lower, self.upper, self.normal, self.lean)
 
 
 @dataclass

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fdem.contact import response
 from fdem.contact.corners import felt_areas
 from fdem.contact.laws import COMMON
-from fdem.kernels import joints, upkeep
+from fdem.kernels import joints
 from fdem.kernels import patches as kernels
 
 if TYPE_CHECKING:
@@ -44,8 +44,8 @@ def _face_normals(gp: Any, x: Array, side: int) -> Array:
 
 def _areas(c: Contacts, x: Array) -> Array:
     """Areas (n,) of whole patches [m2]."""
-    out = np.zeros(len(c.patches))
-    upkeep.whole_areas(c.patches.gp, c.patches.ref_ratio, x, out)
+    double = np.sqrt((_face_normals(c.patches.gp, x, 0) ** 2).sum(axis=1))
+    out: Array = 0.5 * c.patches.ref_ratio * double
     return out
 
 
@@ -96,15 +96,30 @@ def potential_k_gp(c: Contacts, x: Array, mobile: Any) -> Array:
     affine = c.surfaces.affine
     soft = 1 - np.column_stack([affine[c.slave[p.pair]], affine[c.master[p.pair]]])
     kn, area = response.stiffness_now(c, x), felt_areas(c, _areas(c, x)) / 3.0
-    mobile, soft = np.asarray(mobile, dtype=bool), soft.astype(np.uint8)
+    mobile = np.asarray(mobile, dtype=bool)
     k = np.repeat(np.maximum(kn, c._ks) * area, 3)
-    upkeep.gridpoint_stiffness(p.gp, w, k, mobile, soft, out)
+    _spread(p.gp, w, k, mobile, soft, out)
     for ids, points, kn, ks in response.couples(c, x):
         more = np.zeros((3 * len(ids), 7))
         kernels.weights_at(p.gp[ids], c._thick[ids], points, x, more)
         k = np.repeat(np.maximum(kn, ks) * area[ids], 3)
-        upkeep.gridpoint_stiffness(p.gp[ids], more, k, mobile, soft[ids], out)
+        _spread(p.gp[ids], more, k, mobile, soft[ids], out)
     return out
+
+
+def _spread(gp: Any, w: Array, stiffness: Array, mobile: Any, soft: Any, out: Array) -> None:
+    """Add an upper bound of the contact stiffness of gridpoints [N/m] for whole patches, rows of `stiffness` (3 n,).
+
+    ``(sum w u)^2 <= sum |w| * sum |w| u^2``; two mobile sides double it. For affine blocks (`soft` (n, 2) == 0) the
+    stiffness is only distributed over the gridpoints, their weights do not multiply it.
+    """
+    gp, soft, size = np.repeat(gp, 3, axis=0), np.repeat(soft, 3, axis=0), np.abs(w)
+    total = np.column_stack([size[:, 0] + size[:, 1] + size[:, 2], size[:, 3] + size[:, 4] + size[:, 5] + size[:, 6]])
+    scale = np.where(soft != 0, total, 1.0 / total)
+    both = np.where(mobile[gp[:, 0]] & mobile[gp[:, 3]], 2.0, 1.0)
+    share = (both * stiffness)[:, None] * np.repeat(scale, (3, 4), axis=1) * size
+    moves = mobile[gp]
+    np.add.at(out, gp[moves], share[moves])
 
 
 def contact_table(c: Contacts, x: Array) -> dict[str, Any]:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdem.contact.broad import box_pairs
 from fdem.errors import OverlapError
-from fdem.kernels import broad, patches, upkeep
+from fdem.kernels import patches, upkeep
 
 if TYPE_CHECKING:
     from fdem.contact.contacts import Contacts
@@ -117,7 +118,7 @@ def refuse_leaps(c: Contacts, x_old: Array, x: Array) -> None:
     turn = np.zeros(s.n_blocks)
     owner = np.repeat(np.arange(s.n_blocks), np.diff(s.surface_start))
     np.maximum.at(turn, owner, np.linalg.norm(points - before - shift[owner], axis=1))
-    pairs = broad.box_pairs(lower, upper, np.zeros(s.n_blocks), s.fixed)
+    pairs = box_pairs(lower, upper, np.zeros(s.n_blocks), s.fixed)
     if c.may_touch is not None and len(pairs):
         pairs = pairs[np.asarray(c.may_touch(pairs[:, 0], pairs[:, 1]), dtype=bool)]
     a, b = pairs[:, 0], pairs[:, 1]

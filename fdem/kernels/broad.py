@@ -37,6 +37,12 @@ def _slot(level, a, b, c, mask):
 
 
 @kernel
+def _longer(ids):
+    """Twice as many; those there are keep their place."""
+    return np.concatenate((ids, np.empty_like(ids)))
+
+
+@kernel
 def _by_first(first, second, m, n):
     """The `m` pairs sorted by first and second id (counting, then insertion in the short rows)."""
     start = np.zeros(n + 1, np.int64)
@@ -89,7 +95,7 @@ def box_pairs(lower, upper, reach, fixed):
         slot = _slot(level[i], cell[i, 0], cell[i, 1], cell[i, 2], mask)
         following[i] = head[slot]
         head[slot] = i
-    first, second, m = np.empty(8 * n + 16, np.int32), np.empty(8 * n + 16, np.int32), 0
+    first, second, m = np.empty(8 * n + 16, np.int32), np.empty(8 * n + 16, np.int32), np.int64(0)
     for i in range(n):
         for step in range(level[i] + 1):
             if not used[step]:
@@ -122,8 +128,7 @@ def box_pairs(lower, upper, reach, fixed):
                             if lo[i, 0] > hi[q, 0] or lo[i, 1] > hi[q, 1] or lo[i, 2] > hi[q, 2]:
                                 continue
                             if m == len(first):
-                                first = np.concatenate((first, np.empty_like(first)))
-                                second = np.concatenate((second, np.empty_like(second)))
+                                first, second = _longer(first), _longer(second)
                             first[m], second[m] = min(i, q), max(i, q)
                             m += 1
     return _by_first(first, second, m, n)

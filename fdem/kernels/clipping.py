@@ -18,8 +18,22 @@ import numpy as np
 from fdem._jit import kernel
 
 SHARP, BORDER = 1, 2  # kinds of edges, as in kernels/geometry.py
+FEW = 32  # most faces of a block that is looked at without a tree, as in kernels/geometry.py
 SNAP = 1e-13  # of the size: a corner this close to a plane lies on it
 FALSE_DEPTH = 1e-6  # of the size: pieces deeper than this must prove that they lie inside the master
+
+
+@kernel
+def _sort(ids, n):
+    """Sort ``ids[:n]`` in place (Shell)."""
+    gap = n // 2
+    while gap > 0:
+        for i in range(gap, n):
+            j = i
+            while j >= gap and ids[j - gap] > ids[j]:
+                ids[j - gap], ids[j] = ids[j], ids[j - gap]
+                j -= gap
+        gap //= 2
 
 
 @kernel
@@ -30,22 +44,26 @@ def _copy(source, n, target):
 
 
 @kernel
+def _extremes(poly, n, l0, l1, l2):
+    """Smallest and largest value of a linear function on the corners of a polygon."""
+    low, high = np.inf, -np.inf
+    for i in range(n):
+        w1, w2 = poly[i, 0], poly[i, 1]
+        v = l0 * (1.0 - w1 - w2) + l1 * w1 + l2 * w2
+        low, high = min(low, v), max(high, v)
+    return low, high
+
+
+@kernel
 def _cut(poly, n, l0, l1, l2, snap, tmp):
     """Clip `poly[:n]` in place to ``l >= 0`` of the linear function with corner values l0, l1, l2; new corner count.
 
     Values below `snap` count as zero, so that a plane through a corner leaves the polygon alone.
     """
-    out, inside = False, False
-    for i in range(n):
-        w1, w2 = poly[i, 0], poly[i, 1]
-        v = l0 * (1.0 - w1 - w2) + l1 * w1 + l2 * w2
-        if v < -snap:
-            out = True
-        elif v > snap:
-            inside = True
-    if not out or not inside:
-        return 0 if out else n
-    m = 0
+    low, high = _extremes(poly, n, l0, l1, l2)
+    if low >= -snap or high <= snap:
+        return 0 if low < -snap else n
+    m = np.int64(0)  # a literal would have numba compile `_copy` once more
     a1, a2 = poly[n - 1, 0], poly[n - 1, 1]
     va = l0 * (1.0 - a1 - a2) + l1 * a1 + l2 * a2
     for i in range(n):
@@ -64,24 +82,12 @@ def _cut(poly, n, l0, l1, l2, snap, tmp):
 
 
 @kernel
-def _extremes(poly, n, l0, l1, l2):
-    """Smallest and largest value of a linear function on the corners of a polygon."""
-    low, high = np.inf, -np.inf
-    for i in range(n):
-        w1, w2 = poly[i, 0], poly[i, 1]
-        v = l0 * (1.0 - w1 - w2) + l1 * w1 + l2 * w2
-        low, high = min(low, v), max(high, v)
-    return low, high
-
-
-@kernel
 def _mine(v):
     """Whether the cell on the positive side of a wall of normal `v` (not short) owns what lies in the wall itself.
 
     ``-v`` answers differently; round-off does not matter.
     """
-    first = v[1] if abs(v[1]) > 1e-9 else v[2]
-    return (v[0] if abs(v[0]) > 1e-9 else first) > 0.0
+    return (v[0] if abs(v[0]) > 1e-9 else v[1] if abs(v[1]) > 1e-9 else v[2]) > 0.0
 
 
 @kernel
@@ -109,23 +115,19 @@ def _middle(poly, n, xs, out):
 def _distance2(o, g, corner_start, corner_x, normal):
     """Square of the distance of the point `o` from the convex polygon g [m^2]."""
     first, last = corner_start[g], corner_start[g + 1]
+    nx, ny, nz = normal[g, 0], normal[g, 1], normal[g, 2]
     best, over = np.inf, True
     for c in range(first, last):
         k = c + 1 if c + 1 < last else first
         ex, ey, ez = corner_x[k, 0] - corner_x[c, 0], corner_x[k, 1] - corner_x[c, 1], corner_x[k, 2] - corner_x[c, 2]
         dx, dy, dz = o[0] - corner_x[c, 0], o[1] - corner_x[c, 1], o[2] - corner_x[c, 2]
-        turn = (
-            normal[g, 0] * (ey * dz - ez * dy) + normal[g, 1] * (ez * dx - ex * dz) + normal[g, 2] * (ex * dy - ey * dx)
-        )
-        if turn < 0.0:
+        if nx * (ey * dz - ez * dy) + ny * (ez * dx - ex * dz) + nz * (ex * dy - ey * dx) < 0.0:
             over = False
-            t = (ex * dx + ey * dy + ez * dz) / (ex * ex + ey * ey + ez * ez)
-            t = min(max(t, 0.0), 1.0)
+            t = min(max((ex * dx + ey * dy + ez * dz) / (ex * ex + ey * ey + ez * ez), 0.0), 1.0)
             rx, ry, rz = dx - t * ex, dy - t * ey, dz - t * ez
             best = min(best, rx * rx + ry * ry + rz * rz)
-    height = 0.0
-    for d in range(3):
-        height += normal[g, d] * (o[d] - corner_x[first, d])
+    dx, dy, dz = o[0] - corner_x[first, 0], o[1] - corner_x[first, 1], o[2] - corner_x[first, 2]
+    height = nx * dx + ny * dy + nz * dz
     return height * height if over else best
 
 
@@ -149,7 +151,7 @@ def _upright(f, c, xs, corner_start, corner_x, normal, out):
 
 
 @kernel
-def _own_cell(f, xs, poly, count, snap, convex, cells, bufs, work, tmp):
+def _own_cell(f, xs, poly, count, snap, convex, bent, cells, bufs, work, tmp):
     """Split `poly[:count]` into the pieces inside R_f; returns their number, margin and miss; counts go to `work`.
 
     Margin: distance to the nearest wall that did not cut; miss: how far outside an emptied polygon lies.
@@ -159,7 +161,7 @@ def _own_cell(f, xs, poly, count, snap, convex, cells, bufs, work, tmp):
     margin, miss = np.inf, np.inf
     first, last = corner_start[f], corner_start[f + 1]
     for c in range(first, last):
-        if kind[c] == BORDER or (kind[c] == SHARP and not convex):
+        if kind[c] == BORDER or (kind[c] == SHARP and bent):
             continue
         _plane_values(wall[c], corner_x[c], xs, v)
         low, high = _extremes(poly, count, v[0], v[1], v[2])
@@ -170,9 +172,8 @@ def _own_cell(f, xs, poly, count, snap, convex, cells, bufs, work, tmp):
         if count == 0:
             return 0, 0.0, 0.0
     _copy(poly, count, bufs[0])
-    work[0] = count
-    n_pieces = 1
-    if convex:
+    work[0], n_pieces = count, 1
+    if convex is None or not bent:
         return n_pieces, margin, miss
     vertical = np.empty(3)
     for c in range(first, last):
@@ -210,10 +211,8 @@ def _rival(f, g, xs, df, dg, outside, reach, bufs, work, n_pieces, snap, cells, 
     (`outside`) up to the bisectors, and only where its polygon is not farther away than that of f.
     """
     corner_start, corner_x, normal, wall, kind = cells
-    first, last = corner_start[g], corner_start[g + 1]
-    sign = -1.0 if outside else 1.0
-    n_old = n_pieces
-    for q in range(n_old):
+    first, last, sign = corner_start[g], corner_start[g + 1], -1.0 if outside else 1.0
+    for q in range(n_pieces):
         m = work[q]
         if m == 0:
             continue
@@ -241,9 +240,7 @@ def _rival(f, g, xs, df, dg, outside, reach, bufs, work, n_pieces, snap, cells, 
             if _distance2(o, g, corner_start, corner_x, normal) > mine * (1.0 + 1e-9):
                 continue
         _copy(bufs[q], m, part)
-        n = m
-        work[q] = 0
-        made = False
+        n, work[q], made = m, 0, False
         for e in range(-3, last - first):  # what lies beyond each plane is a piece to keep
             c = first + max(e, 0)
             if e < 0:
@@ -274,7 +271,9 @@ def _rival(f, g, xs, df, dg, outside, reach, bufs, work, n_pieces, snap, cells, 
 @kernel
 def _bounds(bufs, work, n_pieces, xs, df, box):
     """Box (2, 3) of all pieces [m]; returns the largest depth."""
-    deepest, box[0], box[1] = -np.inf, np.inf, -np.inf
+    deepest = -np.inf
+    for d in range(3):
+        box[0, d], box[1, d] = np.inf, -np.inf
     for q in range(n_pieces):
         for i in range(work[q]):
             w1, w2 = bufs[q, i, 0], bufs[q, i, 1]
@@ -302,11 +301,10 @@ def _near(b, box, reach, n, alike, search):
 
     Faces whose normals make a cosine with `n` above `alike` may be left out.
     """
-    lower, upper, lean, (node_start, nodes, order, bounds) = search
-    i = node_start[b]
+    lower, upper, lean, (node_start, nodes, order, bounds), out = search
+    i, n_out = node_start[b], np.int64(0)
     if reach == np.inf:
         return order[nodes[i, 1] : nodes[i, 2]]
-    out, n_out = np.empty(64, np.int32), 0
     while i < node_start[b + 1]:
         cosine = 0.0
         for d in range(3):
@@ -314,37 +312,42 @@ def _near(b, box, reach, n, alike, search):
         if cosine > alike or _apart(box, reach, bounds[i, 12:], bounds[i], bounds[i, 3:]):
             i = nodes[i, 0]
             continue
-        for g in order[nodes[i, 1] : nodes[i, 2] if nodes[i, 0] == i + 1 else nodes[i, 1]]:
+        for k in range(nodes[i, 1], nodes[i, 2] if nodes[i, 0] == i + 1 else nodes[i, 1]):
+            g = order[k]
             if not _apart(box, reach, lean[g], lower[g], upper[g]):
-                if n_out == len(out):
-                    out = np.concatenate((out, np.empty_like(out)))
                 out[n_out] = g
                 n_out += 1
         i += 1
-    out[:n_out].sort()
+    _sort(out, n_out)
     return out[:n_out]
 
 
 @kernel
 def _rivals(
-    f, m, around, xs, df, h, snap, n_pieces, convex, affine, cells, search, bufs, work, tmp, part, dg, v, o, box
-):
-    """Take away what faces of master m in the box `around` are nearer to; returns the same as `_own_cell`."""
+    f, m, around, xs, df, h, snap, n_pieces, convex, bent, affine, face_start, cells, search, bufs, work, tmp, part,
+    dg, v, o, box,
+):  # fmt: skip
+    """Take away what faces of m in the box `around` (all without `search`) are nearer to; returns as `_own_cell`."""
     corner_start, corner_x, normal, _, _ = cells
-    margin, miss = np.inf, np.inf
-    reach = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
-    if around[0, 0] == -np.inf:
-        reach = np.inf
-    alike = 1.0 - 1e-14 if affine else 0.9
-    for g in _near(m, box, reach, normal[f], alike, search):
-        if g == f or (reach < np.inf and _apart(around, 0.0, normal[g], search[0][g], search[1][g])):
+    margin, miss, reach, alike = np.inf, np.inf, np.inf, 1.0 - 1e-14 if affine else 0.9
+    first, n_near = face_start[m], face_start[m + 1] - face_start[m]
+    if search is not None:
+        if around[0, 0] > -np.inf:
+            reach = max(4.0 * h, _bounds(bufs, work, n_pieces, xs, df, box))
+        near = _near(m, box, reach, normal[f], alike, search)
+        n_near = len(near)
+    for i in range(n_near):
+        g = first + i if search is None else near[i]
+        if g == f or (
+            search is not None and reach < np.inf and _apart(around, 0.0, normal[g], search[0][g], search[1][g])
+        ):
             continue
         cosine = normal[f, 0] * normal[g, 0] + normal[f, 1] * normal[g, 1] + normal[f, 2] * normal[g, 2]
         if cosine > alike:
             continue
         _plane_values(normal[g], corner_x[corner_start[g]], xs, dg)
-        dg *= -1.0
-        if convex:
+        dg[0], dg[1], dg[2] = -dg[0], -dg[1], -dg[2]
+        if convex is None or not bent:
             length = math.sqrt(2.0 - 2.0 * cosine)
             v[0], v[1], v[2] = (dg[0] - df[0]) / length, (dg[1] - df[1]) / length, (dg[2] - df[2]) / length
             low, high = _extremes(bufs[0], work[0], v[0], v[1], v[2])
@@ -374,8 +377,8 @@ def _rivals(
 @kernel
 def _inside(o, b, box, corner_start, corner_x, normal, search):
     """Whether the point `o` lies inside the closed surface of block b: a ray leaves it more often than it enters."""
-    box[0], box[1] = o, o
-    box[1, 0] = np.inf
+    for d in range(3):
+        box[0, d], box[1, d] = o[d], o[d] if d > 0 else np.inf
     leaves = 0
     for g in _near(b, box, 0.0, o, np.inf, search):
         first, last = corner_start[g], corner_start[g + 1]
@@ -419,7 +422,7 @@ def _owns(f, b, part, n, xs, df, affine, cells, search, o, box):
 
 @kernel
 def _within_limit(
-    f, m, xs, df, deep, poly, count, least, smallest, snap, prove, affine, cells, search, part, tmp, o, box
+    f, m, xs, df, deep, poly, count, least, smallest, snap, convex, prove, affine, cells, search, part, tmp, o, box
 ):
     """Cut away what is deeper than `deep` or does not belong to f; corners left, and whether there was too much depth.
 
@@ -431,11 +434,11 @@ def _within_limit(
         _copy(poly, count, part)
         rest = _cut(part, count, df[0] - deep, df[1] - deep, df[2] - deep, snap, tmp)
         if rest > 0 and _ratio(part, rest) > smallest:
-            if not prove or _owns(f, m, part, rest, xs, df, affine, cells, search, o, box):
+            if convex is None or not prove or _owns(f, m, part, rest, xs, df, affine, cells, search, o, box):
                 answer = 1
         count = _cut(poly, count, deep - df[0], deep - df[1], deep - df[2], snap, tmp)
         high = deep
-    if prove and count > 0 and high > least:
+    if convex is not None and prove and count > 0 and high > least:
         _copy(poly, count, part)
         low = 0.5 * high
         rest = _cut(part, count, df[0] - low, df[1] - low, df[2] - low, snap, tmp)
@@ -455,14 +458,14 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
         for d in range(3):
             xs[k, d] = x[ref[a, k], d]
     _plane_values(normal[f], corner_x[corner_start[f]], xs, df)
-    df *= -1.0
+    df[0], df[1], df[2] = -df[0], -df[1], -df[2]
     count = corner_start[a + 1] - corner_start[a]
-    for i in range(count):
-        poly[i, 0], poly[i, 1] = corner_w[corner_start[a] + i, 0], corner_w[corner_start[a] + i, 1]
-    _, high = _extremes(poly, count, df[0], df[1], df[2])
+    _copy(corner_w[corner_start[a] :], count, poly)
+    low, high = _extremes(poly, count, df[0], df[1], df[2])
     if high < -h:
         return 0, 0.0
-    count = _cut(poly, count, df[0] + h, df[1] + h, df[2] + h, snap, tmp)
+    if low < -h:
+        count = _cut(poly, count, df[0] + h, df[1] + h, df[2] + h, snap, tmp)
     e1x, e1y, e1z = xs[1, 0] - xs[0, 0], xs[1, 1] - xs[0, 1], xs[1, 2] - xs[0, 2]
     e2x, e2y, e2z = xs[2, 0] - xs[0, 0], xs[2, 1] - xs[0, 1], xs[2, 2] - xs[0, 2]
     cx, cy, cz = e1y * e2z - e1z * e2y, e1z * e2x - e1x * e2z, e1x * e2y - e1y * e2x
@@ -471,17 +474,18 @@ def _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, 
 
 @kernel
 def clip_faces(
-    pair_start, faces, around, master, window, size, most, max_corners, corner_start, corner_w, ref, limit,
-    convex, affine, is_open, x, corner_x, normal, wall, kind, lower, upper, lean, tree,
+    pair_start, faces, around, master, window, size, most, max_corners, face_start, corner_start, corner_w,
+    ref, limit, convex, affine, is_open, x, corner_x, normal, wall, kind, search,
 ):  # fmt: skip
     """Cut faces of slaves by the depth cells of faces of masters: the patches of the pairs.
 
     | argument | shape | unit | |
     |---|---|---|---|
     | pair_start, faces, around | | | from `geometry.face_pairs` |
-    | master | (n_pairs,) | - | block ids |
-    | window | (n_pairs,) | m | patches are made up to this gap |
+    | master, window | (n_pairs,) | -, m | block ids; patches are made up to this gap |
     | size, most | (n_pairs,) | m | size of the smaller block, largest depth that either block admits |
+    | convex | | | None if all blocks are convex: what others need is not compiled |
+    | search | | | `FaceGeometry.search`, None if all blocks have few faces too: no search is compiled |
     | others | | | arrays of `Surfaces` and `FaceGeometry` |
 
     Returns
@@ -491,58 +495,54 @@ def clip_faces(
     corners : (n, 2)
     margin : (n_patches,)
         Distance to the nearest wall that could cut the polygon next [m]; 0 if one did.
-    miss : (n_pairs,)
-        Smallest distance by which a face near the master's surface missed a cell [m].
-    miss_face : (n_pairs, 2) int32
-        The faces concerned (slave, master), -1 if none.
+    miss, miss_face : (n_pairs,), (n_pairs, 2) int32
+        Smallest distance by which a face near the master's surface missed a cell [m]; slave and master face, -1: none.
     too_deep : (n_pairs,) uint8
         1 where a part of the slave lies deeper than the limit.
     """
     n_pairs, room = len(master), 4 * max_corners + 64
-    poly, tmp, part = np.empty((room, 2)), np.empty((room, 2)), np.empty((room, 2))
-    bufs, work = np.empty((64, room, 2)), np.zeros(64, np.int64)
+    poly, tmp, part, bufs = np.empty((room, 2)), np.empty((room, 2)), np.empty((room, 2)), np.empty((64, room, 2))
+    work, too_deep = np.zeros(64, np.int64), np.zeros(n_pairs, np.uint8)
     xs, box, df, dg, v, o = np.empty((3, 3)), np.empty((2, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    key, margins, corners = np.empty((64, 4), np.int32), np.empty(64), np.empty((512, 2))
+    most_out, most_corners = 64, 512
+    if search is None:  # one piece each, to which every plane adds one corner at most
+        most_out, most_corners = len(faces), (2 * max_corners + FEW + 2) * len(faces)
+    key, margins, corners = np.empty((most_out, 4), np.int32), np.empty(most_out), np.empty((most_corners, 2))
     miss, miss_face = np.full(n_pairs, np.inf), np.full((n_pairs, 2), -1, np.int32)
-    too_deep = np.zeros(n_pairs, np.uint8)
-    cells, search = (corner_start, corner_x, normal, wall, kind), (lower, upper, lean, tree)
-    n_out, n_corners = 0, 0
+    cells, n_out, n_corners = (corner_start, corner_x, normal, wall, kind), 0, np.int64(0)
     for p in range(n_pairs):
         m, h, snap = master[p], window[p], SNAP * size[p]
-        prove = not convex[m] and not is_open[m]
+        bent = convex is not None and not convex[m]
+        prove = bent and not is_open[m]
         for row in range(pair_start[p], pair_start[p + 1]):
             a, f = faces[row, 0], faces[row, 1]
             count, area = _start(a, f, h, snap, x, ref, corner_start, corner_w, corner_x, normal, xs, df, poly, tmp)
             if count == 0:
                 continue
-            n_pieces, margin, lost = _own_cell(f, xs, poly, count, snap, convex[m], cells, bufs, work, tmp)
+            n_pieces, margin, lost = _own_cell(f, xs, poly, count, snap, convex, bent, cells, bufs, work, tmp)
             if n_pieces > 0:
                 n_pieces, nearest, lost = _rivals(
-                    f, m, around[p], xs, df, h, snap, n_pieces, convex[m], affine[m], cells, search, bufs, work, tmp,
-                    part, dg, v, o, box,
+                    f, m, around[p], xs, df, h, snap, n_pieces, convex, bent, affine[m],
+                    face_start, cells, search, bufs, work, tmp, part, dg, v, o, box,
                 )  # fmt: skip
                 margin = min(margin, nearest)
             if n_pieces == 0 and lost < miss[p]:
-                miss[p] = lost
-                miss_face[p, 0], miss_face[p, 1] = a, f
-            smallest = 1e-12 * size[p] * size[p] / area
+                miss[p], miss_face[p, 0], miss_face[p, 1] = lost, a, f
+            smallest, least = 1e-12 * size[p] * size[p] / area, FALSE_DEPTH * size[p]
             for q in range(n_pieces):
-                count, answer = 0, 0
-                if work[q] > 0:
-                    count, answer = _within_limit(
-                        f, m, xs, df, min(limit[f], most[p]), bufs[q], work[q], FALSE_DEPTH * size[p], smallest, snap,
-                        prove, affine[m], cells, search, part, tmp, o, box,
-                    )  # fmt: skip
-                if answer == 1:
-                    too_deep[p] = 1
+                count, answer = _within_limit(
+                    f, m, xs, df, min(limit[f], most[p]), bufs[q], work[q], least, smallest, snap, convex, prove,
+                    affine[m], cells, search, part, tmp, o, box,
+                )  # fmt: skip
+                too_deep[p] = max(too_deep[p], answer)
                 if count == 0 or not _ratio(bufs[q], count) > smallest:
                     continue
-                if n_out == len(key):
+                if search is not None and n_out == len(key):
                     key = np.concatenate((key, np.empty_like(key)))
                     margins = np.concatenate((margins, np.empty_like(margins)))
-                while n_corners + count > len(corners):
+                while search is not None and n_corners + count > len(corners):
                     corners = np.concatenate((corners, np.empty_like(corners)))
-                corners[n_corners : n_corners + count] = bufs[q, :count]
+                _copy(bufs[q], count, corners[n_corners:])
                 n_corners += count
                 key[n_out, 0], key[n_out, 1], key[n_out, 2], key[n_out, 3] = p, a, f, n_corners
                 margins[n_out] = margin if answer == 0 else 0.0

@@ -155,20 +155,6 @@ def close_patches(
 
 
 @kernel
-def reference_points(start, corners, points, ratio):
-    """Points (n, 3, 2) and area ratios (n,) of the whole polygons."""
-    longest = 3
-    for i in range(len(ratio)):
-        longest = max(longest, start[i + 1] - start[i])
-    poly = np.empty((longest, 2))
-    for i in range(len(ratio)):
-        n = start[i + 1] - start[i]
-        for k in range(n):
-            poly[k, 0], poly[k, 1] = corners[start[i] + k, 0], corners[start[i] + k, 1]
-        ratio[i] = _moment_points(poly, n, points[i])
-
-
-@kernel
 def _two_normals(gp, i, x, out):
     """Unit normals of slave (0:3) and master face (3:6) of patch i; returns twice the area of the slave's triangle."""
     double = 0.0
@@ -186,9 +172,19 @@ def _two_normals(gp, i, x, out):
 
 
 @kernel
-def measure(gp, start, corners, offset, x, area, closed, align, depth, plane_depth, centre):
+def _copy(source, target):
+    """Three points."""
+    for q in range(3):
+        target[q, 0], target[q, 1] = source[q, 0], source[q, 1]
+
+
+@kernel
+def measure(
+    gp, start, corners, offset, x, ref_points, ref_ratio, area, closed, align, depth, plane_depth, centre
+):  # fmt: skip
     """Size and position of patches: whole area, closed area [m2], -n_a.n_f, largest depth [m], centroid (n, 3).
 
+    `ref_points` (n, 3, 2), `ref_ratio` (n,): points of the whole polygons and their shares of the slaves' triangles.
     `plane_depth` (n, 3): depth below the master plane at the three slave gridpoints, no offset taken off. A patch that
     lies in the plane but for round-off is closed, whatever its sign.
     """
@@ -217,7 +213,10 @@ def measure(gp, start, corners, offset, x, area, closed, align, depth, plane_dep
             level = d0 * (1.0 - w1 - w2) + d1 * w1 + d2 * w2
             low, top = min(low, level), max(top, level)
         depth[i] = top
-        area[i] = 0.5 * double * _moment_points(poly, n, pts)
+        ref_ratio[i] = _moment_points(poly, n, pts)
+        area[i] = 0.5 * double * ref_ratio[i]
+        if ref_ratio[i] > 0.0:
+            _copy(pts, ref_points[i])
         for d in range(3):
             c = 0.0
             for q in range(3):
@@ -297,12 +296,12 @@ def closed_points(gp, start, corners, offset, bonded, ref_points, ref_ratio, x, 
             low = min(low, depth[0] * (1.0 - w1 - w2) + depth[1] * w1 + depth[2] * w2)
         active[i] = 1
         ratio = ref_ratio[i]
-        points[i] = ref_points[i]
+        _copy(ref_points[i], points[i])
         if low < 0.0 and not bonded[i]:
             n = _close(corners, start[i], start[i + 1], depth[0], depth[1], depth[2], poly)
             ratio = _moment_points(poly, n, pts) if n >= 3 else 0.0
             if ratio > 0.0:
-                points[i] = pts
+                _copy(pts, points[i])
             else:
                 active[i] = 0
         area[i] = 0.5 * double * max(ratio, 0.0)

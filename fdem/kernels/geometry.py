@@ -42,34 +42,11 @@ def _walls(b, face_start, corner_start, neighbour, sharp, is_open, corner_x, nor
 
 
 @kernel
-def _lean(f, corner_start, wall, kind, normal, out):
-    """How far the cell of face f grows beyond its box, per height over or under the face, in the three directions.
-
-    At every height a triangle all of whose edges are smooth bounds its cell by a similar triangle.
-    """
-    first, last = corner_start[f], corner_start[f + 1]
-    aside = 0.0
-    for c in range(first, last):
-        b = c - 1 if c > first else last - 1
-        rx = wall[b, 1] * wall[c, 2] - wall[b, 2] * wall[c, 1]
-        ry = wall[b, 2] * wall[c, 0] - wall[b, 0] * wall[c, 2]
-        rz = wall[b, 0] * wall[c, 1] - wall[b, 1] * wall[c, 0]
-        s = rx * normal[f, 0] + ry * normal[f, 1] + rz * normal[f, 2]
-        if kind[c] != SMOOTH or last - first > 3 or abs(s) < 1e-9:
-            aside = np.inf
-            break
-        rx, ry, rz = rx / s - normal[f, 0], ry / s - normal[f, 1], rz / s - normal[f, 2]
-        aside = max(aside, math.sqrt(rx * rx + ry * ry + rz * rz))
-    for d in range(3):
-        out[d] = min(1.0, abs(normal[f, d]) + aside + SLACK)
-
-
-@kernel
 def face_geometry(
     blocks, face_start, corner_start, corner_w, ref, neighbour, sharp, is_open, x,
-    corner_x, normal, wall, kind, lower, upper, block_lower, block_upper, lean,
+    corner_x, normal, wall, kind, lower, upper, block_lower, block_upper,
 ):  # fmt: skip
-    """Corners [m], normals, walls (unit, into the cell), edge kinds, boxes and lean of the faces of `blocks`."""
+    """Corners [m], normals, walls (unit, into the cell), edge kinds and boxes of the faces of `blocks`."""
     for b in blocks:
         for d in range(3):
             block_lower[b, d] = np.inf
@@ -95,38 +72,37 @@ def face_geometry(
                 block_lower[b, d] = min(block_lower[b, d], lower[f, d])
                 block_upper[b, d] = max(block_upper[b, d], upper[f, d])
         _walls(b, face_start, corner_start, neighbour, sharp, is_open, corner_x, normal, wall, kind)
-        for f in range(face_start[b], face_start[b + 1]):
-            _lean(f, corner_start, wall, kind, normal, lean[f])
 
 
 @kernel
-def convex_blocks(face_start, corner_start, neighbour, normal, corner_x, affine, is_open, convex):
-    """Mark affine closed blocks all of whose edges are convex (a closed connected surface is then convex)."""
-    for b in range(len(face_start) - 1):
-        good = affine[b] == 1 and is_open[b] == 0
+def _lean(f, corner_start, wall, kind, normal, out):
+    """How far the cell of face f grows beyond its box, per height over or under the face, in the three directions.
+
+    At every height a triangle all of whose edges are smooth bounds its cell by a similar triangle.
+    """
+    first, last = corner_start[f], corner_start[f + 1]
+    aside = 0.0
+    for c in range(first, last):
+        b = c - 1 if c > first else last - 1
+        rx = wall[b, 1] * wall[c, 2] - wall[b, 2] * wall[c, 1]
+        ry = wall[b, 2] * wall[c, 0] - wall[b, 0] * wall[c, 2]
+        rz = wall[b, 0] * wall[c, 1] - wall[b, 1] * wall[c, 0]
+        s = rx * normal[f, 0] + ry * normal[f, 1] + rz * normal[f, 2]
+        if kind[c] != SMOOTH or last - first > 3 or abs(s) < 1e-9:
+            aside = np.inf
+            break
+        rx, ry, rz = rx / s - normal[f, 0], ry / s - normal[f, 1], rz / s - normal[f, 2]
+        aside = max(aside, math.sqrt(rx * rx + ry * ry + rz * rz))
+    for d in range(3):
+        out[d] = min(1.0, abs(normal[f, d]) + aside + SLACK)
+
+
+@kernel
+def leans(blocks, face_start, corner_start, wall, kind, normal, lean):
+    """Lean (n_faces, 3) of the faces of `blocks`."""
+    for b in blocks:
         for f in range(face_start[b], face_start[b + 1]):
-            if not good:
-                break
-            first, last = corner_start[f], corner_start[f + 1]
-            for c in range(first, last):
-                follow = c + 1 if c + 1 < last else first
-                g = neighbour[c]
-                if g < 0:
-                    good = False
-                    break
-                ex = corner_x[follow, 0] - corner_x[c, 0]
-                ey = corner_x[follow, 1] - corner_x[c, 1]
-                ez = corner_x[follow, 2] - corner_x[c, 2]
-                nx, ny, nz = normal[f, 0], normal[f, 1], normal[f, 2]
-                tilt = (
-                    normal[g, 0] * (ny * ez - nz * ey)
-                    + normal[g, 1] * (nz * ex - nx * ez)
-                    + normal[g, 2] * (nx * ey - ny * ex)
-                )
-                if tilt > 1e-9 * math.sqrt(ex * ex + ey * ey + ez * ez):
-                    good = False
-                    break
-        convex[b] = 1 if good else 0
+            _lean(f, corner_start, wall, kind, normal, lean[f])
 
 
 @kernel
@@ -216,6 +192,16 @@ def _behind(f, b, o, tree, corner_start, corner_x, normal, y):
 
 
 @kernel
+def _middle(corner_x, first, last, out):
+    """Mean (3,) [m] of the corners first, ..., last - 1."""
+    for d in range(3):
+        total = 0.0
+        for c in range(first, last):
+            total += corner_x[c, d]
+        out[d] = total / (last - first)
+
+
+@kernel
 def thickness(face_start, corner_start, corner_x, normal, convex, is_open, tree, out):
     """Thickness of the block behind every face [m]: extent of a convex block, else along the ray from the centroid."""
     o, y = np.empty(3), np.empty(3)
@@ -225,8 +211,7 @@ def thickness(face_start, corner_start, corner_x, normal, convex, is_open, tree,
                 out[f] = np.inf
                 continue
             first, last = corner_start[f], corner_start[f + 1]
-            for d in range(3):
-                o[d] = corner_x[first, d] if convex[b] else np.mean(corner_x[first:last, d])
+            _middle(corner_x, first, first + 1 if convex[b] else last, o)
             hit = np.inf if convex[b] else _behind(f, b, o, tree, corner_start, corner_x, normal, y)
             if hit == np.inf:  # convex, or numerically open
                 hit = _extent(f, b, o, tree, corner_start, corner_x, normal)
@@ -245,8 +230,7 @@ def deepest(face_start, corner_start, corner_x, normal, convex, is_open, out):
         out[b] = np.inf if is_open[b] else 0.0
         first, last = face_start[b], face_start[b + 1]
         for f in range(last if is_open[b] else first, last, max(1, (last - first) // 200)):
-            for d in range(3):
-                o[d] = np.mean(corner_x[corner_start[f] : corner_start[f + 1], d])
+            _middle(corner_x, corner_start[f], corner_start[f + 1], o)
             radius = np.inf
             for g in range(first, last):
                 a, z = corner_start[g], corner_start[g + 1]
@@ -282,6 +266,26 @@ def _overlap(lower, upper, i, j, reach):
 
 
 @kernel
+def _longer(rows):
+    """Twice as many rows; those there are keep their place."""
+    return np.concatenate((rows, np.empty_like(rows)))
+
+
+@kernel
+def _sort(ids, n):
+    """Sort ``ids[:n]`` in place (Shell)."""
+    gap = n // 2
+    while gap > 0:
+        for i in range(gap, n):
+            v, j = ids[i], i
+            while j >= gap and ids[j - gap] > v:
+                ids[j] = ids[j - gap]
+                j -= gap
+            ids[j] = v
+        gap //= 2
+
+
+@kernel
 def _meets(lower, upper, low, high):
     """Whether the box lower, upper meets the box low, high."""
     for d in range(3):
@@ -291,10 +295,17 @@ def _meets(lower, upper, low, high):
 
 
 @kernel
-def _find(b, low, high, tree, lower, upper, out):
+def _find(b, low, high, face_start, tree, lower, upper, out):
     """Faces of block b whose box meets the box low, high, in ascending order: (`out` or a larger array, how many)."""
+    n = np.int64(0)
+    if tree is None:
+        for f in range(face_start[b], face_start[b + 1]):
+            if _meets(lower[f], upper[f], low, high):
+                out[n] = f
+                n += 1
+        return out, n
     node_start, nodes, order, bounds = tree
-    n, i = 0, node_start[b]
+    i = node_start[b]
     while i < node_start[b + 1]:
         if not _meets(bounds[i], bounds[i, 3:], low, high):
             i = nodes[i, 0]
@@ -302,12 +313,12 @@ def _find(b, low, high, tree, lower, upper, out):
         for k in range(nodes[i, 1], nodes[i, 2] if nodes[i, 0] == i + 1 else nodes[i, 1]):
             if _meets(lower[order[k]], upper[order[k]], low, high):
                 if n == len(out):
-                    out = np.concatenate((out, np.empty_like(out)))
+                    out = _longer(out)
                 out[n] = order[k]
                 n += 1
         i += 1
     if node_start[b + 1] > node_start[b] + 1:
-        out[:n].sort()
+        _sort(out, n)
     return out, n
 
 
@@ -327,18 +338,21 @@ def _highest(a, f, corner_start, corner_x, normal):
 
 
 @kernel
-def _around(rows, m, reach, convex, face_start, lower, upper, tree, found, out):
-    """Box `out` (2, 3) of the slave faces ``rows[:, 0]`` grown by their `reach`; infinite if all few faces count."""
-    out[0], out[1] = np.inf, -np.inf
-    for a in rows[:, 0]:
+def _around(rows, first, last, m, reach, convex, face_start, lower, upper, tree, found, out):
+    """Box `out` (2, 3) of the slave faces ``rows[first:last, 0]`` grown by `reach`; infinite if all few faces count."""
+    for d in range(3):
+        out[0, d], out[1, d] = np.inf, -np.inf
+    for row in range(first, last):
+        a = rows[row, 0]
         for d in range(3):
             out[0, d], out[1, d] = min(out[0, d], lower[a, d] - reach), max(out[1, d], upper[a, d] + reach)
     few = face_start[m + 1] - face_start[m]
-    if len(rows) == 0 or few > FEW:
+    if first == last or few > FEW:
         return found
-    found, n = _find(m, out[0], out[1], tree, lower, upper, found)
+    found, n = _find(m, out[0], out[1], face_start, tree, lower, upper, found)
     if convex or n == few:
-        out[0], out[1] = -np.inf, np.inf
+        for d in range(3):
+            out[0, d], out[1, d] = -np.inf, np.inf
     return found
 
 
@@ -349,7 +363,8 @@ def face_pairs(
 ):  # fmt: skip
     """Faces of slaves and masters whose boxes are so near that a patch may exist.
 
-    Parameters as in `clipping.clip_faces`.
+    Parameters as in `clipping.clip_faces`; `lean`, `tree`: None if all blocks are convex and have few faces, of which
+    all are looked at (the search is not compiled then).
 
     Returns
     -------
@@ -358,10 +373,14 @@ def face_pairs(
         Slave and master face; sorted by pair, master face, slave face.
     around : (n_pairs, 2, 3)
         Box [m] in which faces of the master may be nearer than another; infinite where all few of them count (cells of
-        convex blocks are bounded by all planes).
+        convex blocks are bounded by all planes). Not filled without trees: all count.
     """
-    n_pairs, n_out = len(slave), 0
-    start, out = np.zeros(n_pairs + 1, np.int64), np.empty((1024, 2), np.int32)
+    n_pairs, n_rows, n_out = len(slave), 0, np.int64(0)  # a literal would have numba compile helpers once more
+    for p in range(n_pairs if tree is None else 0):
+        n_rows += (face_start[slave[p] + 1] - face_start[slave[p]]) * (
+            face_start[master[p] + 1] - face_start[master[p]]
+        )
+    start, out = np.zeros(n_pairs + 1, np.int64), np.empty((max(n_rows, 1024), 2), np.int32)
     around = np.empty((n_pairs, 2, 3))
     near, found = np.empty(64, np.int32), np.empty(64, np.int32)
     lo, hi, low, high = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -369,31 +388,35 @@ def face_pairs(
         s, m, h = slave[p], master[p], window[p]
         for d in range(3):  # no slave face outside counts
             low[d], high[d], lo[d], hi[d] = block_lower[m, d] - h, block_upper[m, d] + h, np.inf, -np.inf
-        near, k = _find(s, low, high, tree, lower, upper, near)
+        near, k = _find(s, low, high, face_start, tree, lower, upper, near)
         far = 2.0 * (h + min(deep[m], size[p])) * (1.0 + 1e-9)
-        for a in near[:k]:
+        for i in range(k):
             for d in range(3):
-                lo[d], hi[d] = min(lo[d], lower[a, d] - far), max(hi[d], upper[a, d] + far)
-        near, k = _find(m, lo, hi, tree, lower, upper, near)
-        for f in near[:k]:
+                lo[d], hi[d] = min(lo[d], lower[near[i], d] - far), max(hi[d], upper[near[i], d] + far)
+        near, k = _find(m, lo, hi, face_start, tree, lower, upper, near)
+        for i in range(k):
+            f = near[i]
             depth = min(limit[f], size[p])  # a slave that is all inside is still in the cells of faces around it
             far = 2.0 * (h + depth)
             for d in range(3):
-                lo[d], hi[d] = lower[f, d] - far * lean[f, d], upper[f, d] + far * lean[f, d]
-            found, k_s = _find(s, lo, hi, tree, lower, upper, found)
-            for a in found[:k_s]:
+                aside = far if lean is None else far * lean[f, d]
+                lo[d], hi[d] = lower[f, d] - aside, upper[f, d] + aside
+            found, n_found = _find(s, lo, hi, face_start, tree, lower, upper, found)
+            for j in range(n_found):
+                a = found[j]
                 if not _meets(lower[a], upper[a], low, high):
                     continue
                 most = _highest(a, f, corner_start, corner_x, normal)
                 if most < -h or not _overlap(lower, upper, a, f, 2.0 * (h + min(max(most, 0.0), depth))):
                     continue
-                if n_out == len(out):
-                    out = np.concatenate((out, np.empty_like(out)))
+                if tree is not None and n_out == len(out):
+                    out = _longer(out)
                 out[n_out, 0], out[n_out, 1] = a, f
                 n_out += 1
         start[p + 1] = n_out
-        reach = max(4.0 * h, min(deep[m], size[p])) + h
-        found = _around(out[start[p] : n_out], m, reach, convex[m], face_start, lower, upper, tree, found, around[p])
+        if tree is not None:
+            reach = max(4.0 * h, min(deep[m], size[p])) + h
+            found = _around(out, start[p], n_out, m, reach, convex[m], face_start, lower, upper, tree, found, around[p])
     return start, out[:n_out], around
 
 

@@ -158,15 +158,26 @@ def _nearest(place, normal, size2, i, q, lo, hi, smooth, place_old, normal_old, 
 
 
 @kernel
-def inherit(
-    pair, face_s, face_m, gp, points, active, memory, pair_old, face_s_old, face_m_old, gp_old, points_old, active_old,
-    memory_old, x,
-):  # fmt: skip
-    """History of new patches from the old ones, which are sorted by pair and slave face (CONTACT.md 3.7).
+def keep(same, points, active, memory, points_old, memory_old):
+    """History of new patches i from old ones ``same[i]`` of the same faces (-1: none): their linear field."""
+    for i in range(len(same)):
+        if active[i] and same[i] >= 0:
+            for q in range(3):
+                w1, w2 = points[i, q, 0], points[i, q, 1]
+                _blend(points_old, same[i], memory_old, 3 * same[i], w1, w2, memory, 3 * i + q)
 
-    The same faces: the linear field of the old points. Else the nearest old point on faces that continue these two, so
-    that contact goes on across the lines of a mesh; else the nearest on the same slave face. A bond (column 3) stays
-    with its two faces, its failure goes along. `active` (n,) becomes 0 where nothing is inherited.
+
+@kernel
+def inherit(
+    same, first_old, end_old, first_face, end_face, face_s, face_m, gp, points, active, memory, face_s_old, face_m_old,
+    gp_old, points_old, active_old, memory_old, x,
+):  # fmt: skip
+    """History of new patches that are not the `same` (n,) as an old one: -1 there (CONTACT.md 3.7).
+
+    The nearest old point on faces that continue these two, so that contact goes on across the lines of a mesh; else
+    the nearest on the same slave face. The old patches of its pair are ``first_old[i]:end_old[i]``, those of its slave
+    face ``first_face[i]:end_face[i]``. A bond (column 3) stays with its two faces, its failure goes along. `active`
+    (n,) becomes 0 where nothing is inherited.
     """
     n, m = len(gp), len(gp_old)
     place, normal, size2 = np.empty((n, 3, 3)), np.empty((n, 2, 3)), np.empty(n)
@@ -174,27 +185,20 @@ def inherit(
     _places(gp, points, x, place, normal, size2)
     _places(gp_old, points_old, x, place_old, normal_old, size2_old)
     for i in range(n):
-        if active[i] == 0:
+        if active[i] == 0 or same[i] >= 0:
             continue
-        first = np.searchsorted(pair_old, pair[i])
-        last = first + np.searchsorted(pair_old[first:], pair[i], side="right")
-        lo = first + np.searchsorted(face_s_old[first:last], face_s[i])
-        hi = lo
-        exact = -1
-        while hi < last and face_s_old[hi] == face_s[i]:
-            if active_old[hi] and face_m_old[hi] == face_m[i]:
-                exact = hi if exact == -1 else -2
-            hi += 1
         found = False
         for q in range(3):
-            row = 3 * i + q
-            if exact >= 0:
-                _blend(points_old, exact, memory_old, 3 * exact, points[i, q, 0], points[i, q, 1], memory, row)
-                found = True
-                continue
-            best = _nearest(place, normal, size2, i, q, first, last, True, place_old, normal_old, size2_old, active_old)
-            if best < 0:
-                best = _nearest(place, normal, size2, i, q, lo, hi, False, place_old, normal_old, size2_old, active_old)
+            row, best = 3 * i + q, -1
+            for smooth in (True, False):
+                lo, hi = first_face[i], end_face[i]
+                if smooth:
+                    lo, hi = first_old[i], end_old[i]
+                best = _nearest(
+                    place, normal, size2, i, q, lo, hi, smooth, place_old, normal_old, size2_old, active_old
+                )
+                if best >= 0:
+                    break
             if best >= 0:
                 for k in range(memory.shape[1]):
                     memory[row, k] = memory_old[best, k]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fdem._jit import held_off
 from fdem.errors import UnsupportedError
 from fdem.results.scales import NEUTRAL, PALETTE, readable
 
@@ -107,7 +108,10 @@ def render(
         If no way to render works on this machine.
     """
     try:
-        import pyvista as pv
+        with held_off():
+            import pyvista as pv
+
+            pv.Plotter  # noqa: B018  (loaded where first named)
     except ImportError:
         raise UnsupportedError("plot needs pyvista: pip install 'fdem[plot]'") from None
     size = _fit_window(layers, direction, window_size)
@@ -254,10 +258,11 @@ def compose(
     window_size: tuple[int, int] | None,
 ) -> None:
     """Set an image beside its key and write it."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
+    with held_off():
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+        from matplotlib.figure import Figure
+        from matplotlib.patches import Patch
 
     if window_size is None:
         image = _trimmed(image)
