@@ -38,7 +38,7 @@ def listed(x, reach):
     order = np.sort(key) % n if fits else np.lexsort((cell[:, 2], cell[:, 1], cell[:, 0], -level))
     own = np.arange(n, dtype=np.int32)
     near = (x[order], reach[order], own, np.ones(n, dtype=bool), level[order], cell[order])
-    start, partner = kernels.near_pairs(*near, *kernels.tabulate(*near[4:]))
+    start, partner = kernels.near_pairs(*near, *kernels.tabulate(*near[4:]), 0.9)
     first = np.repeat(order, np.diff(start.astype(np.int64)))
     second = order[partner]
     pairs = set(zip(np.minimum(first, second).tolist(), np.maximum(first, second).tolist(), strict=True))

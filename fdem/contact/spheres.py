@@ -21,6 +21,7 @@ __all__ = ["SphereContacts"]
 Array = NDArray[np.float64]
 
 SKIN = 0.14  # of the radius: pairs are looked for that much further, and again when half of it is used up
+TOUCH = 1.0 / (1.0 + 0.5 * SKIN)  # of the reach, with the skin: what touches when pairs are looked for
 GROWN = 1.1  # growth of stiffness, in squared frequency, after which the step is found again
 UNSEEN = 0.1  # of the radius per step: far below, the stiffness that an impact will have is known from its speed
 FAST = 0.25  # of the radius: motion in a step from which on a sphere could pass something
@@ -119,7 +120,7 @@ class SphereContacts:
             order = np.lexsort((cell[:, 2], cell[:, 1], cell[:, 0], -level))
         near = (centres[order], reach[order], p.block[order], self._moves[order], level[order], cell[order])
         grid = kernels.tabulate(*near[4:])
-        start, partner = kernels.near_pairs(*near, *grid)
+        start, partner = kernels.near_pairs(*near, *grid, TOUCH)
         before, at_old = self._shear_energy(), self._earlier(order)
         memory, source = np.zeros((len(partner), 5)), np.zeros(len(partner), np.int64)
         kernels.carry_pairs(self.start, self.partner, self.memory, at_old, start, partner, memory, source)

@@ -24,7 +24,7 @@ twisting length [m] |
 adds to the closing speed in a step less half that speed [m/s] |
 | dt | float | time since the last commit [s]; 0: no dashpots |
 | force | (n, 6) | out: force [N] and moment [N m] |
-| record | (m, 4) or (0, 4) | out, if it has rows: N [N], T on the first sphere's partner [N] |
+| record | (m, 4) or (0, 4) | out, if it has rows: N [N], T on the first sphere's partner [N]; zeros at first |
 | out | (5,) | friction and damping work [J], added to; touching pairs; 1 + row of a pair that is too deep, or 0;
 largest tangent stiffness over reduced mass [1/s^2] |
 """
@@ -290,12 +290,13 @@ def pair_forces(place, motion, start, partner, kind, table, memory_old, memory, 
             s = place[b, 3]
             if not dx * dx + dy * dy + dz * dz < (r + s) * (r + s):
                 old = memory_old[k, 3]
-                if old != 0.0:
+                # what is open already is zero in both histories, and in the record
+                if old != 0.0 or memory[k, 3] != 0.0:
                     s0, s1, s2 = memory_old[k, 0], memory_old[k, 1], memory_old[k, 2]
                     lost += 0.5 * table[kind[k], 1] * old * (s0 * s0 + s1 * s1 + s2 * s2)
-                memory[k, 0] = memory[k, 1] = memory[k, 2] = memory[k, 3] = memory[k, 4] = 0.0
-                if len(record) > 0:
-                    record[k, 0] = record[k, 1] = record[k, 2] = record[k, 3] = 0.0
+                    memory[k, 0] = memory[k, 1] = memory[k, 2] = memory[k, 3] = memory[k, 4] = 0.0
+                    if len(record) > 0:
+                        record[k, 0] = record[k, 1] = record[k, 2] = record[k, 3] = 0.0
                 continue
             work[count], work[count + full] = dx, dy
             work[count + np.uint64(2 * L)], work[count + np.uint64(3 * L)], work[count + np.uint64(4 * L)] = dz, r, s
@@ -420,6 +421,19 @@ def ball_accelerate(f, inverse, a):
         m, i = inverse[b, 0], inverse[b, 1]
         a[b, 0], a[b, 1], a[b, 2] = m * f[b, 0], m * f[b, 1], m * f[b, 2]
         a[b, 3], a[b, 4], a[b, 5] = i * f[b, 3], i * f[b, 4], i * f[b, 5]
+
+
+@kernel
+def ball_kick(f, inverse, h, v):
+    """Add the accelerations of `ball_accelerate` over `h` [s] to the velocities v (n, 6)."""
+    for b in range(len(f)):
+        m, i = inverse[b, 0], inverse[b, 1]
+        v[b, 0] += h * (m * f[b, 0])
+        v[b, 1] += h * (m * f[b, 1])
+        v[b, 2] += h * (m * f[b, 2])
+        v[b, 3] += h * (i * f[b, 3])
+        v[b, 4] += h * (i * f[b, 4])
+        v[b, 5] += h * (i * f[b, 5])
 
 
 @kernel
