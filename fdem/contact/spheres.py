@@ -84,8 +84,6 @@ class SphereContacts:
         self._moves = np.ascontiguousarray(self.mobile[particles.block])
         self.allowed = 0.5 * SKIN * particles.radius
         self._pad = float(np.median(self.allowed)) if n else 0.0
-        # faces are looked for that much further: where none moves, a sphere may
-        self._slack = np.inf if facets is None else 0.0 if len(facets.moving_gp) else self._pad
         self.turn = np.zeros((n, 3))
         self.work = np.zeros(2)
         self.n_detections = 0
@@ -210,7 +208,7 @@ class SphereContacts:
         )
         self.at = self.places()
         self._gp, self._spin = p.gp[self.order].astype(np.uint32), p.spin[self.order]
-        self._before = np.column_stack([self.x_ref[self.order], self.allowed[self.order]])
+        self._before = np.column_stack([self.x_ref[self.order], self.allowed[self.order] ** 2])
         self.kind, faces.kind = kinds[: len(first)].copy(), kinds[len(first) :].copy()
         self._memory, self._held = np.zeros_like(self.memory), np.zeros_like(self.held)
         # couples need the normal forces
@@ -235,8 +233,7 @@ class SphereContacts:
         """
         p = self.particles
         due, fast = kernels.follow(
-            self.order, self._gp, self._spin, x, x_old, self._before, self._slack, v, dt, self.turn, self.place,
-            self.motion,
+            self.order, self._gp, self._spin, x, x_old, self._before, v, dt, self.turn, self.place, self.motion
         )  # fmt: skip
         if not due and self.facets is not None:
             due = kernels.strayed(self.facets.moving_gp, x, self.face_ref, self._pad)

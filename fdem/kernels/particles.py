@@ -189,7 +189,7 @@ def near_pairs(x, reach, body, mobile, level, cell, first, head, touch):
     return start, partner[:m].copy()
 
 
-@kernel
+@kernel(inline=True)
 def _beside(f, i, lower, upper, point, normal, pad, x, reach, body, mobile, face_body, face_mobile):
     """Whether particle `i` is within reach of the box and the plane of face `f`, and not far behind it."""
     if body[i] == face_body[f] or not (mobile[i] or face_mobile[f]):
@@ -306,26 +306,23 @@ def carry_pairs(old_start, old_partner, old_memory, at_old, start, partner, memo
 
 
 @kernel
-def follow(order, gp, spin, x, x_old, before, slack, v, dt, turn, place, motion):
+def follow(order, gp, spin, x, x_old, before, v, dt, turn, place, motion):
     """Follow a step: rotations since the last commit, positions and motions in packed order as `pack` gives them.
 
     =============  ============  ==================================================
     order          (n,)          particle at every packed place
     gp, spin       (n,)          its gridpoint; its first rotational velocity in `v` (-1: does not turn)
     x, x_old       (n_gp, 3)     positions now, and at the last commit [m]
-    before         (n, 4)        where pairs were last looked for, and the motion [m] that each may make since
-    slack          float         further motion [m] of one sphere that meets faces
+    before         (n, 4)        where pairs were last looked for, and the square of the motion after which they are due
     v              (n_dofs,)     velocities of the step just made
     dt             float         its length [s]
     turn           (n, 3)        in, out: rotation since the last commit [rad], by particle
     place, motion                out, as for `pack`
     =============  ============  ==================================================
 
-    Pairs are due where two spheres together could have moved by more than both may: the two that went furthest.
-    Returns whether they are, and the largest motion since the last commit over the radius.
+    Returns whether pairs are due, and the largest motion since the last commit over the radius.
     """
     due, fast = False, 0.0
-    first, second = -np.inf, -np.inf  # largest motions beyond what a sphere may make
     for i in range(len(order)):
         p, g, s, r = order[i], gp[i], spin[i], place[i, 3]
         px, py, pz = x[g, 0], x[g, 1], x[g, 2]
@@ -339,15 +336,11 @@ def follow(order, gp, spin, x, x_old, before, slack, v, dt, turn, place, motion)
         place[i, 0], place[i, 1], place[i, 2] = px, py, pz
         motion[i, 0], motion[i, 1], motion[i, 2] = ux, uy, uz
         motion[i, 3], motion[i, 4], motion[i, 5] = turn[p, 0], turn[p, 1], turn[p, 2]
-        moved, limit = a * a + b * b + c * c, before[i, 3] + second
-        if not (limit > 0.0 and moved <= limit * limit):
-            beyond = math.sqrt(moved) - before[i, 3]
-            first, second = max(first, beyond), max(second, min(first, beyond))
-            due |= not moved < np.inf
+        due |= not a * a + b * b + c * c <= before[i, 3]
         square = ux * ux + uy * uy + uz * uz
         if square > fast * (r * r):
             fast = square / (r * r)
-    return due or first + second > 0.0 or first > slack, math.sqrt(fast)
+    return due, math.sqrt(fast)
 
 
 @kernel
