@@ -9,9 +9,7 @@ from typing import Any
 __all__ = ["kernel"]
 
 
-def kernel(
-    function: Callable[..., Any] | None = None, *, fastmath: bool = False, inline: bool = False
-) -> Any:
+def kernel(function: Callable[..., Any] | None = None, *, fastmath: bool = False, inline: bool = False) -> Any:
     """Compile a module-level function of arrays and scalars with numba.
 
     Parameters

@@ -215,7 +215,7 @@ def _total(work, out):
     return deep
 
 
-@kernel
+@kernel(inline=True)
 def _record(k, i, work, record):
     """Write N and T of lane `i` to row `k`."""
     normal = work[i]
@@ -381,7 +381,7 @@ def face_forces(
                 out[3] = k + 1
 
 
-@kernel
+@kernel(inline=True)
 def _face_done(i, k, a, work, memory, force, push, record):
     """Add what lane `i` says of the contact in row `k`, of the sphere at packed place `a`."""
     gx, gy, gz = work[L + i], work[2 * L + i], work[3 * L + i]
