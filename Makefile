@@ -33,6 +33,7 @@ bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python benchmarks/contact.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/bodies.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/jointed.py
+	$(ONE_THREAD) $(BIN)/python benchmarks/refinement.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/stability.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/skip.py
 	$(ONE_THREAD) $(BIN)/python benchmarks/substeps.py

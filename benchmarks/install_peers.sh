@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The peers that are Python packages, in an environment of their own: benchmarks/peers.py finds it.
-# LIGGGHTS, Yade and Siconos are packages of the system (Debian: liggghts, yade, siconos).
+# LIGGGHTS, Yade and Siconos are packages of the system (Debian: liggghts, yade, siconos, python3-siconos, python3-h5py).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 "${PYTHON:-python3}" -m venv .peers

@@ -1,6 +1,6 @@
 """Other codes on the same cases: ratios of rates measured by turns, one table.
 
-    python benchmarks/peers.py [--full] [--only spheres wall-explicit wall-hard flex arch]
+    python benchmarks/peers.py [--full] [--only spheres wall-explicit wall-hard wall-siconos flex arch]
 
 Each comparison is a benchmark of its own; this runs them and collects the medians. Codes that are not installed are
 listed as such. `install_peers.sh` installs those that come as Python packages into the folder .peers; LIGGGHTS, Yade
@@ -33,8 +33,9 @@ ROUNDS = 3
 
 
 def python_with(package: str) -> str | None:
-    """A Python that can import the package: this one, or that of the folder .peers."""
-    for python in (sys.executable, os.environ.get(f"{package.upper()}_PYTHON"), str(PEERS)):
+    """A Python that can import the package: this one, that of the folder .peers, or the system's."""
+    system = shutil.which("python3", path=os.defpath)
+    for python in (sys.executable, os.environ.get(f"{package.upper()}_PYTHON"), str(PEERS), system):
         if python and Path(python).exists():
             code = f"import importlib.util as u, sys; sys.exit(u.find_spec({package!r}) is None)"
             if subprocess.run([python, "-c", code], check=False, capture_output=True).returncode == 0:
@@ -127,6 +128,36 @@ def wall_hard(full: bool) -> Iterator[dict[str, Any]]:
         yield row(name, "LMGC90", "steps/s", *rates, 5, note)
 
 
+def wall_siconos(full: bool) -> Iterator[dict[str, Any]]:
+    """The wall of 100 bricks by contact dynamics against Siconos, which takes a second a step."""
+    import wall as case
+
+    python, name = python_with("siconos"), "wall of 100 bricks, contact dynamics"
+    if python is None:
+        yield absent(name, "Siconos")
+        return
+    width, height, steps = case.CASES[100]
+    command = [
+        python,
+        str(HERE / "siconos_wall.py"),
+        str(width),
+        str(height),
+        "30" if full else "10",
+        str(case.DT),
+        "1e-4",
+    ]
+    case.ours(4, 4, 3)
+    mine, other = [], []
+    for _ in range(ROUNDS):
+        mine.append(case.ours(width, height, steps))
+        lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+        other.append(json.loads(next(line for line in lines if line.startswith("RESULT"))[7:]))
+    bases = [abs(runs[-1]["base"] - 1) for runs in (mine, other)]
+    note = f"base force / weight off by {bases[0]:.1e} and {bases[1]:.1e}; Siconos stops at 1e-4, fdem at 1e-9"
+    rates = [[run["rate"] for run in runs] for runs in (mine, other)]
+    yield row(name, "Siconos", "steps/s", *rates, 1, note)
+
+
 def flex(full: bool) -> Iterator[dict[str, Any]]:
     """Soft tetrahedra on a plane."""
     import flex as case
@@ -180,7 +211,10 @@ def arch(full: bool) -> Iterator[dict[str, Any]]:
     yield row(name, "compas_cra", "verdicts/s", ours, theirs, 1, note)
 
 
-COMPARISONS = {"spheres": spheres, "wall-explicit": wall_explicit, "wall-hard": wall_hard, "flex": flex, "arch": arch}
+COMPARISONS = {
+    "spheres": spheres, "wall-explicit": wall_explicit, "wall-hard": wall_hard, "wall-siconos": wall_siconos,
+    "flex": flex, "arch": arch,
+}  # fmt: skip
 
 
 def table(rows: list[dict[str, Any]]) -> str:

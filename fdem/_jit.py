@@ -49,7 +49,7 @@ def _numba() -> Any:
     return numba
 
 
-def kernel(function: Callable[..., Any] | None = None, *, fastmath: bool = False) -> Any:
+def kernel(function: Callable[..., Any] | None = None, *, fastmath: bool = False, inline: bool = False) -> Any:
     """Compile a module-level function of arrays and scalars with numba.
 
     Parameters
@@ -58,6 +58,8 @@ def kernel(function: Callable[..., Any] | None = None, *, fastmath: bool = False
         The kernel; without it a decorator is returned.
     fastmath : bool, optional
         Let the compiler reorder sums. Only for element loops in which no NaN is looked for.
+    inline : bool, optional
+        Put it in place of every call: an array handed over costs seven words, which counts in the innermost loop.
 
     Notes
     -----
@@ -77,6 +79,7 @@ def kernel(function: Callable[..., Any] | None = None, *, fastmath: bool = False
             error_model="numpy",
             nogil=True,
             fastmath=fastmath,
+            forceinline=inline,
             cache=os.environ.get("FDEM_CACHE", "1") != "0",
             boundscheck=os.environ.get("FDEM_CHECK", "0") == "1",
             no_cfunc_wrapper=True,  # kernels are no arguments of others, so no C entry is needed

@@ -46,3 +46,25 @@ def test_parts_of_a_sliding_face_are_cut_together(used, expected):
     x[slice(*sim.model.gp_range[sim.model.names.index("brick")]), 0] += 1.1 * p.reach[p.pair == 0].min()
     p.reach[p.pair == 1] *= 1.1 / used
     assert worn_pairs(contacts, x).sum() == expected
+
+
+def test_corners_in_the_plane_of_a_face_do_not_close_in_every_step():
+    """Blocks cut through: corners lie in planes of other blocks but for round-off, of either sign in every cut."""
+    shapes = [fdem.brick((0, 0, 0), (20, 20, 20))]
+    for k, (dip, direction) in enumerate([(75, 40), (65, 150), (15, 280)]):
+        joints = fdem.JointSet(dip, direction, spacing=6.0, origin=(10.5, 9.2, 9.8), seed=k, deviation=2)
+        shapes = fdem.cut(shapes, joints)
+    scene = fdem.Scene()
+    scene.add(shapes, fdem.Zoned(size=3.0), fdem.Elastic(2600.0, 2e10, 0.25))
+    scene.joint(fdem.Coulomb(kn=2e10, ks=1e10, friction=35))
+    for axis, name in enumerate("xyz"):
+        far = 1e9 if name == "z" else 20 - 1e-6
+        scene.fix(component=name, where=lambda x, k=axis, far=far: (x[:, k] < 1e-6) | (x[:, k] > far))
+    sim = simulation(scene, fdem.Relaxation(), energy=False)
+    sim.cycle(100)  # corners settle into those planes
+    moving = simulation(scene, fdem.Explicit(dt=1e-10), start=sim, energy=False)
+    contacts = moving.system.contacts
+    moving.cycle(1)
+    before = contacts.n_cuts
+    moving.cycle(20)
+    assert contacts.n_cuts == before

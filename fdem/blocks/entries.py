@@ -29,10 +29,23 @@ Array = Any
 Entries = tuple[Array, Array, Array]
 
 
-class Additive:
-    """Batches whose unknowns add up: placement and mass are constant."""
+class Kicked:
+    """Batches that know their accelerations."""
 
     dofs: slice
+    accelerate: Any
+
+    def kick(self, q: Array, f: Array, v: Array, h: float, a: Array, scaled: Array | None = None) -> None:
+        """Add the accelerations over `h` [s] to the velocities `v`; `a` (n_dofs,) is room for them."""
+        self.accelerate(q, f, a, scaled)
+        own = a[self.dofs]
+        own *= h
+        v[self.dofs] += own
+
+
+class Additive(Kicked):
+    """Batches whose unknowns add up: placement and mass are constant."""
+
     coords: slice
     width = 3  # unknowns that belong together
     steady = True  # the mass does not depend on q
@@ -61,10 +74,9 @@ class Additive:
         return nothing()
 
 
-class Stiff:
+class Stiff(Kicked):
     """Batches without internal forces: six unknowns a block, translation and rotation."""
 
-    dofs: slice
     oriented = True  # rotations are kept; else they are angles rolled, which add up
 
     def groups(self) -> Array:

@@ -78,6 +78,9 @@ class Blocks(Protocol):
     def accelerate(self, q: np.ndarray, f: np.ndarray, a: np.ndarray, scaled: Any) -> None:
         """Write ``M(q)^-1 f`` into `a`; with `scaled` masses if not None."""
 
+    def kick(self, q: np.ndarray, f: np.ndarray, v: np.ndarray, h: float, a: np.ndarray, scaled: Any = None) -> None:
+        """Add ``h M(q)^-1 f`` to `v`; `a` is room for the accelerations of all unknowns."""
+
     def advance(self, q: np.ndarray, v: np.ndarray, dt: float, scaled: Any = None) -> None:
         """Move `q` by `dt` [s] at fixed momentum, updating `v` where the inertia rotates."""
 

@@ -99,8 +99,11 @@ class SphereBlocks(entries.Stiff):
 
     def accelerate(self, q: Array, f: Array, a: Array, scaled: Array | None = None) -> None:
         """Write the accelerations ``(F / m, T / I)`` into ``a`` [m/s^2, rad/s^2]; `scaled` as of `scaled_masses`."""
-        inverse = self._inverse if scaled is None else self._inverse / scaled[:, None]
-        kernels.ball_accelerate(self._v(f), inverse, self._v(a))
+        kernels.ball_accelerate(self._v(f), self._inverse_of(scaled), self._v(a))
+
+    def kick(self, q: Array, f: Array, v: Array, h: float, a: Array, scaled: Array | None = None) -> None:
+        """Add the accelerations over `h` [s] to the velocities `v` in one pass."""
+        kernels.ball_kick(self._v(f), self._inverse_of(scaled), h, self._v(v))
 
     def advance(self, q: Array, v: Array, dt: float, scaled: Array | None = None) -> None:
         """Move the centres by ``dt`` [s]; angular velocities are momenta and stay."""
@@ -238,6 +241,9 @@ class SphereBlocks(entries.Stiff):
         """``P`` of `push`: rows 3 gp + axis of the model, columns its unknowns."""
         rows = 3 * self.gridpoints.start + np.arange(3 * self.n_blocks)
         return rows, self.groups()[:, :3].ravel(), np.ones(len(rows))
+
+    def _inverse_of(self, scaled: Array | None) -> Array:
+        return self._inverse if scaled is None else self._inverse / scaled[:, None]
 
     def _q(self, q: Array) -> Array:
         return q[self.coords].reshape(self.n_blocks, 3)

@@ -145,6 +145,11 @@ class SphereTable:
             best = np.where((rows[:, 0] > best[:, 0])[:, None], rows, best)
         return best[self._class[sides]]
 
+    def alike(self, sides: slice) -> tuple[Any, Any]:
+        """One of each class of `sides`, and the class of each of them, counted in these."""
+        _, one, member = np.unique(self._class[sides], return_index=True, return_inverse=True)
+        return one, member.ravel()
+
     def kinds(self, rule: Any, a: Any, b: Any) -> NDArray[np.uint32]:
         """Row of the table for contacts between sides `a` and `b` under `rule`, (m,) each.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from fdem.contact.spheres import SphereContacts
 
-__all__ = ["ParticleSprings", "alone", "springs_of"]
+__all__ = ["ParticleSprings", "alone", "springs_of", "stiffest_alone"]
 
 Array = NDArray[np.float64]
 
@@ -179,6 +179,17 @@ def alone(c: SphereContacts, xdot: Array) -> Array:
     p = c.particles
     square = np.einsum("ij,ij->i", xdot[p.gp], xdot[p.gp])
     return _stiffness(c.hardest, np.zeros(len(p)), square, p.radius, c.gravity, c.inverse_mass[p.block])[0]
+
+
+def stiffest_alone(c: SphereContacts, xdot: Array) -> float:
+    """Largest of `alone` over the mass [1/s^2]: only the fastest of particles that are alike is looked at."""
+    v = xdot[c.particles.gp]
+    square = np.zeros(len(c.alike[0]))
+    np.maximum.at(square, c.alike[1], np.einsum("ij,ij->i", v, v))
+    one, none = c.alike[0], np.zeros(len(square))
+    inverse = c.inverse_mass[c.particles.block[one]]
+    k = _stiffness(c.hardest[one], none, square, c.particles.radius[one], c.gravity, inverse)[0]
+    return float((k * inverse).max(initial=0.0))
 
 
 def _stiffness(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fdem.contact.facets import FaceContacts, Facets
 from fdem.contact.particles import Particles, SphereTable
-from fdem.contact.sphere_springs import ParticleSprings, alone, springs_of
+from fdem.contact.sphere_springs import ParticleSprings, springs_of, stiffest_alone
 from fdem.errors import OverlapError, SceneError
 from fdem.kernels import couples, spheres
 from fdem.kernels import facets as face_kernels
@@ -21,6 +21,7 @@ __all__ = ["SphereContacts"]
 Array = NDArray[np.float64]
 
 SKIN = 0.14  # of the radius: pairs are looked for that much further, and again when half of it is used up
+TOUCH = 1.0 / (1.0 + 0.5 * SKIN)  # of the reach, with the skin: what touches when pairs are looked for
 GROWN = 1.1  # growth of stiffness, in squared frequency, after which the step is found again
 UNSEEN = 0.1  # of the radius per step: far below, the stiffness that an impact will have is known from its speed
 FAST = 0.25  # of the radius: motion in a step from which on a sphere could pass something
@@ -78,12 +79,13 @@ class SphereContacts:
         self.n_blocks = len(self.mobile)
         n = len(particles)
         self.inverse_mass, self.gravity = inverse_mass, gravity
-        self._inverse_mass = np.ascontiguousarray(inverse_mass[particles.block])
         self.hardest = table.hardest(slice(0, n))
+        self.alike = table.alike(slice(0, n))
         self._moves = np.ascontiguousarray(self.mobile[particles.block])
         self.allowed = 0.5 * SKIN * particles.radius
         self._pad = float(np.median(self.allowed)) if n else 0.0
         self.turn = np.zeros((n, 3))
+        self.place, self.motion, self.force = np.zeros((n, 4)), np.zeros((n, 8)), np.zeros((n, 6))
         self.work = np.zeros(2)
         self.n_detections = 0
         # largest stiffness over reduced mass of a contact: in the last forces, and when the step was found [1/s^2]
@@ -117,7 +119,7 @@ class SphereContacts:
             order = np.lexsort((cell[:, 2], cell[:, 1], cell[:, 0], -level))
         near = (centres[order], reach[order], p.block[order], self._moves[order], level[order], cell[order])
         grid = kernels.tabulate(*near[4:])
-        start, partner = kernels.near_pairs(*near, *grid)
+        start, partner = kernels.near_pairs(*near, *grid, TOUCH)
         before, at_old = self._shear_energy(), self._earlier(order)
         memory, source = np.zeros((len(partner), 5)), np.zeros(len(partner), np.int64)
         kernels.carry_pairs(self.start, self.partner, self.memory, at_old, start, partner, memory, source)
@@ -212,9 +214,8 @@ class SphereContacts:
         self._memory, self._held = np.zeros_like(self.memory), np.zeros_like(self.held)
         # couples need the normal forces
         self._record = np.zeros((len(self.held), 4))
-        self.place, self.motion = np.zeros((n, 4)), np.zeros((n, 8))
+        self.motion.fill(0.0)
         self.place[:, :3], self.place[:, 3] = x[p.gp[self.order]], p.radius[self.order]
-        self.force = np.zeros((n, 6))
         self.out, self._face_out, self._couple_out = np.zeros(5), np.zeros(5), np.zeros(1)
         if self.facets is not None:
             faces.prepare(self.facets, x)
@@ -384,7 +385,7 @@ class SphereContacts:
 
     def stiffened(self, xdot: Array) -> bool:
         """Whether contacts got stiffer since last asked, or much softer; those to come at `xdot` included."""
-        now = max(self.stiffest, float((alone(self, xdot) * self._inverse_mass).max(initial=0.0)))
+        now = max(self.stiffest, stiffest_alone(self, xdot))
         if 0.2 * self._known <= now <= self._known:
             return False
         self._known = GROWN * now

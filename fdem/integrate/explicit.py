@@ -164,12 +164,10 @@ class _Undamped:
 
     def kick(self, system: Any, h: float) -> None:
         """Change the velocities by the accelerations over `h` [s]."""
-        a = system.accelerate(system.state.f)
         if system.alpha is None:
-            a *= h
-            system.state.v += a
+            system.kick(h)
         else:
-            _centred(system, h, a, system.alpha, None)
+            _centred(system, h, system.accelerate(system.state.f), system.alpha, None)
 
 
 def _centred(system: Any, h: float, a: np.ndarray, alpha: Any, viscous: np.ndarray | None) -> None:

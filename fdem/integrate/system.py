@@ -87,6 +87,8 @@ class System(Pace):
         self._turning_old = np.zeros_like(state.v) if self._torques and energy else None
         self._spun = np.zeros_like(state.v) if self._torques and energy else None
         self._keeps_old = contacts is not None or particles is not None or self._load_old is not None
+        # changes the velocities by the accelerations of the present forces over a time [s]
+        self.kick = self._kick_held if constraints.any else self._kick_free
         self.weight = self._weight()
         for group in constraints.coupled:
             model.batch_of(group.block).confine(int(model.batch_row[group.block]), group.rows)
@@ -167,6 +169,16 @@ class System(Pace):
             batch.accelerate(self.state.q, f, self.a, scaled)
         self.constraints.still(self.a)
         return self.a
+
+    def _kick_held(self, h: float) -> None:
+        a = self.accelerate(self.state.f)
+        a *= h
+        self.state.v += a
+
+    def _kick_free(self, h: float) -> None:
+        state = self.state
+        for batch, scaled in zip(self.model.batches, self.scaled, strict=True):
+            batch.kick(state.q, state.f, state.v, h, self.a, scaled)
 
     def resist(self, share: float, f: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Forces that resist the motion `v`, a `share` of the forces `f` by components (n_dofs,)."""

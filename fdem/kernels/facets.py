@@ -71,7 +71,7 @@ def frame_faces(ref, corner_start, corner_x, normal, x, side, across):
             across[f, d], across[f, 3 + d] = (vv * u - uv * v) / det, (uu * v - uv * u) / det
 
 
-@kernel
+@kernel(inline=True)
 def _inside(px, py, pz, lo, hi, corner_x, side):
     """Whether a point lies over a face."""
     for k in range(lo, hi):
@@ -183,7 +183,7 @@ def _accept(m, px, py, pz, r, face, corner_start, corner_x, normal, found, point
     return count
 
 
-@kernel
+@kernel(inline=True)
 def _weights(f, ref, x, across, point, w):
     """Barycentric weights of a point in the plane of a face in its three reference gridpoints."""
     a = ref[f, 0]
@@ -297,7 +297,7 @@ def touch(
         _go_on(first, last, count, direction, memory_old, source, out)
 
 
-@kernel
+@kernel(inline=True)
 def _go_on(first, last, count, direction, memory_old, source, out):
     """Give each contact of a group the history of the one whose normal is nearest; count what is left over as lost."""
     for k in range(first, last):

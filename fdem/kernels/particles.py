@@ -1,7 +1,7 @@
 """Particles (centres with radii): cell order, half lists of near pairs, history carried from list to list.
 
 Particles are kept in *packed order*: by level (smallest spheres first), then by cell, then by id. A pair is listed
-once, under its particle that comes first, partners ascending; so sums run in the same order for the same list.
+once, under its particle that comes first, touching partners before others; sums run in the order of the list.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def tabulate(level, cell):
 
 
 @kernel
-def near_pairs(x, reach, body, mobile, level, cell, first, head):
+def near_pairs(x, reach, body, mobile, level, cell, first, head, touch):
     """Half list of pairs closer than the sum of their reaches.
 
     ===========  ==========  ==================================================
@@ -152,6 +152,8 @@ def near_pairs(x, reach, body, mobile, level, cell, first, head):
     level        (n,)        grid level
     cell         (n, 3)      cell on its level
     first, head              what `tabulate` returned
+    touch                    share of the reaches below which a pair comes first in its row: what follows in the list
+                             of pairs is then mostly alike, which a processor reckons with
     ===========  ==========  ==================================================
 
     Returns ``start`` (n + 1,) and ``partner`` (m,), uint32: the partners of i are ``partner[start[i]:start[i + 1]]``.
@@ -167,22 +169,27 @@ def near_pairs(x, reach, body, mobile, level, cell, first, head):
         ranges = _ranges(u, level, cell, first, head, mask, present, lo, hi)
         for i in range(first[u], first[u + 1]):
             px, py, pz, r = x[i, 0], x[i, 1], x[i, 2], reach[i]
+            begin = m
             for k in range(ranges):
                 for j in range(max(lo[k], i + 1), hi[k]):
                     dx, dy, dz, s = x[j, 0] - px, x[j, 1] - py, x[j, 2] - pz, r + reach[j]
-                    if not dx * dx + dy * dy + dz * dz < s * s:
+                    square = dx * dx + dy * dy + dz * dz
+                    if not square < s * s:
                         continue
                     if body[i] == body[j] or not (mobile[i] or mobile[j]):
                         continue
                     if m == len(partner):
                         partner = np.concatenate((partner, np.empty_like(partner)))
                     partner[m] = j
+                    if square < touch * touch * s * s:
+                        partner[m], partner[begin] = partner[begin], j
+                        begin += 1
                     m += 1
             start[i + 1] = m
     return start, partner[:m].copy()
 
 
-@kernel
+@kernel(inline=True)
 def _beside(f, i, lower, upper, point, normal, pad, x, reach, body, mobile, face_body, face_mobile):
     """Whether particle `i` is within reach of the box and the plane of face `f`, and not far behind it."""
     if body[i] == face_body[f] or not (mobile[i] or face_mobile[f]):

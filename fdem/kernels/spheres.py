@@ -24,7 +24,7 @@ twisting length [m] |
 adds to the closing speed in a step less half that speed [m/s] |
 | dt | float | time since the last commit [s]; 0: no dashpots |
 | force | (n, 6) | out: force [N] and moment [N m] |
-| record | (m, 4) or (0, 4) | out, if it has rows: N [N], T on the first sphere's partner [N] |
+| record | (m, 4) or (0, 4) | out, if it has rows: N [N], T on the first sphere's partner [N]; zeros at first |
 | out | (5,) | friction and damping work [J], added to; touching pairs; 1 + row of a pair that is too deep, or 0;
 largest tangent stiffness over reduced mass [1/s^2] |
 """
@@ -78,6 +78,17 @@ def _law(work, dt, inverse_dt, deep):
     Out: row 0 N, 1-3 force on the second, 4-6 normal x T, 7 friction work, 8 damping work, 9 stiffness over mass, 10
     whether half the overlap is more than `deep` times the smaller arm, 24-28 history.
 
+    In three short loops: the long one waits for its roots and divisions, of short ones the next lanes begin meanwhile.
+    """
+    _press(work, dt, inverse_dt, deep)
+    _carry(work)
+    _slide(work)
+
+
+@kernel
+def _press(work, dt, inverse_dt, deep):
+    """Normal forces. Out: rows 0, 8-10, 28; 11 r, 12 dashpot across [N/m], 18-20 only what is in the plane of contact.
+
     The normal dashpot acts on the speed at the time of the force, which is not known yet:
     ``v(n) = 3/2 v(n-1/2) - 1/2 v(n-3/2) - (N(n) - N(n-1)) dt / 2m``, the last two speeds carried on and what this
     force alone changes. So it is right to second order, takes nothing from the stable step, and is zero at rest.
@@ -86,12 +97,11 @@ def _law(work, dt, inverse_dt, deep):
         nx, ny, nz = work[14 * L + i], work[15 * L + i], work[16 * L + i]
         overlap = work[17 * L + i]
         ex, ey, ez = work[18 * L + i], work[19 * L + i], work[20 * L + i]
-        about = work[21 * L + i]
-        s0, s1, s2, old_root = work[24 * L + i], work[25 * L + i], work[26 * L + i], work[27 * L + i]
+        old_root = work[27 * L + i]
         hertz = work[34 * L + i]
         root = math.sqrt(overlap) if hertz > 0.0 else 1.0
         closing = ex * nx + ey * ny + ez * nz
-        ex, ey, ez = ex - closing * nx, ey - closing * ny, ez - closing * nz
+        work[18 * L + i], work[19 * L + i], work[20 * L + i] = ex - closing * nx, ey - closing * ny, ez - closing * nz
         stiffness = work[29 * L + i] * root
         elastic = stiffness * overlap
         # a contact that began a share of a step ago is damped for that and the half step to come
@@ -107,11 +117,26 @@ def _law(work, dt, inverse_dt, deep):
         normal = normal if normal > 0.0 else 0.0
         viscous = normal - elastic
         closing = dt * (before - known * step * normal)
-        kt0 = work[30 * L + i]
-        kt, inverse_root = kt0 * root, 1.0 / root
-        cap = work[33 * L + i] * normal
-        most = cap * work[35 * L + i] * inverse_root
-        # history: with the plane of contact, round its normal, at its length
+        # across, a sphere that rolls gives way 7/2 as easily
+        drag = work[32 * L + i] * critical
+        work[i] = normal
+        work[8 * L + i] = viscous * closing
+        work[9 * L + i] = stiffness * (1.0 + 0.5 * hertz) * work[37 * L + i]
+        work[10 * L + i] = 0.0 if 0.5 * overlap < deep * min(work[22 * L + i], work[23 * L + i]) else 1.0
+        work[11 * L + i], work[12 * L + i] = root, drag * (inverse_dt / (1.0 + 3.5 * drag * step))
+        work[28 * L + i] = step * normal - 0.5 * speed
+
+
+@kernel
+def _carry(work):
+    """History with the plane of contact, round its normal, at its length. Out: rows 7, 24-27, 13 the longest spring."""
+    for i in range(L):
+        nx, ny, nz = work[14 * L + i], work[15 * L + i], work[16 * L + i]
+        ex, ey, ez = work[18 * L + i], work[19 * L + i], work[20 * L + i]
+        about = work[21 * L + i]
+        s0, s1, s2, old_root = work[24 * L + i], work[25 * L + i], work[26 * L + i], work[27 * L + i]
+        inverse_root = 1.0 / work[11 * L + i]
+        most = work[33 * L + i] * work[i] * work[35 * L + i] * inverse_root
         length = s0 * s0 + s1 * s1 + s2 * s2
         along = s0 * nx + s1 * ny + s2 * nz
         s0, s1, s2 = s0 - along * nx, s1 - along * ny, s2 - along * nz
@@ -125,31 +150,37 @@ def _law(work, dt, inverse_dt, deep):
         kept = kept if kept < most * most else most * most
         scale = kept / flat
         scale = math.sqrt(scale) if flat > 0.0 else 0.0
-        # what the force of before and of now do to the motion, less what the spring takes up: as the motion sees it
-        friction = 0.5 * kt0 * old_root * (length + b0 * ex + b1 * ey + b2 * ez)
-        s0, s1, s2 = b0 * scale + ex, b1 * scale + ey, b2 * scale + ez
+        # what the force of before does to the motion, less what the spring takes up: as the motion sees it
+        work[7 * L + i] = 0.5 * work[30 * L + i] * old_root * (length + b0 * ex + b1 * ey + b2 * ez)
+        work[13 * L + i] = most
+        work[24 * L + i], work[25 * L + i], work[26 * L + i] = b0 * scale + ex, b1 * scale + ey, b2 * scale + ez
+        work[27 * L + i] = work[11 * L + i]
+
+
+@kernel
+def _slide(work):
+    """Shear forces. Out: rows 1-6, 24-26, and what is added to 7 and 8."""
+    for i in range(L):
+        nx, ny, nz = work[14 * L + i], work[15 * L + i], work[16 * L + i]
+        ex, ey, ez = work[18 * L + i], work[19 * L + i], work[20 * L + i]
+        s0, s1, s2, most = work[24 * L + i], work[25 * L + i], work[26 * L + i], work[13 * L + i]
+        normal, kt, drag = work[i], work[30 * L + i] * work[11 * L + i], work[12 * L + i]
         trial = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
         held = trial if trial < most else most
         share = held / trial
         share = share if trial > 0.0 else 0.0
         s0, s1, s2 = s0 * share, s1 * share, s2 * share
-        friction += 0.5 * kt * (s0 * ex + s1 * ey + s2 * ez - held * held)
-        # the dashpot beside the spring, where the cone holds both; rolling, a sphere gives way 7/2 as easily
-        drag = work[32 * L + i] * critical
-        drag *= inverse_dt / (1.0 + 3.5 * drag * step)
+        # what the force of now does
+        work[7 * L + i] += 0.5 * kt * (s0 * ex + s1 * ey + s2 * ez - held * held)
+        # the dashpot beside the spring, where the cone holds both
         slip = ex * ex + ey * ey + ez * ez
-        left = cap - kt * held
+        left = work[33 * L + i] * normal - kt * held
         drag = drag if drag * drag * slip <= left * left else 0.0
         t0, t1, t2 = kt * s0 + drag * ex, kt * s1 + drag * ey, kt * s2 + drag * ez
-        work[i] = normal
         work[L + i], work[2 * L + i], work[3 * L + i] = normal * nx + t0, normal * ny + t1, normal * nz + t2
         work[4 * L + i], work[5 * L + i], work[6 * L + i] = ny * t2 - nz * t1, nz * t0 - nx * t2, nx * t1 - ny * t0
-        work[7 * L + i] = friction
-        work[8 * L + i] = viscous * closing + drag * slip
-        work[9 * L + i] = stiffness * (1.0 + 0.5 * hertz) * work[37 * L + i]
-        work[10 * L + i] = 0.0 if 0.5 * overlap < deep * min(work[22 * L + i], work[23 * L + i]) else 1.0
-        work[24 * L + i], work[25 * L + i], work[26 * L + i], work[27 * L + i] = s0, s1, s2, root
-        work[28 * L + i] = step * normal - 0.5 * speed
+        work[8 * L + i] += drag * slip
+        work[24 * L + i], work[25 * L + i], work[26 * L + i] = s0, s1, s2
 
 
 @kernel
@@ -184,7 +215,7 @@ def _total(work, out):
     return deep
 
 
-@kernel
+@kernel(inline=True)
 def _record(k, i, work, record):
     """Write N and T of lane `i` to row `k`."""
     normal = work[i]
@@ -246,7 +277,9 @@ def pair_forces(place, motion, start, partner, kind, table, memory_old, memory, 
     work = _lanes()
     first, second, row = np.zeros(L, np.uint32), np.zeros(L, np.uint32), np.zeros(L, np.uint32)
     filled = np.full(L, -1, np.int64)  # row of the table that a lane holds already
-    count, touching, lost = 0, 0, 0.0
+    # unsigned, for an index that could count from the end costs a comparison
+    count, one, full = np.uint64(0), np.uint64(1), np.uint64(L)
+    touching, lost = 0, 0.0
     force[:, :] = 0.0
     out[3] = out[4] = 0.0
     for a in range(len(start) - 1):
@@ -257,33 +290,34 @@ def pair_forces(place, motion, start, partner, kind, table, memory_old, memory, 
             s = place[b, 3]
             if not dx * dx + dy * dy + dz * dz < (r + s) * (r + s):
                 old = memory_old[k, 3]
-                if old != 0.0:
+                # what is open already is zero in both histories, and in the record
+                if old != 0.0 or memory[k, 3] != 0.0:
                     s0, s1, s2 = memory_old[k, 0], memory_old[k, 1], memory_old[k, 2]
                     lost += 0.5 * table[kind[k], 1] * old * (s0 * s0 + s1 * s1 + s2 * s2)
-                memory[k, 0] = memory[k, 1] = memory[k, 2] = memory[k, 3] = memory[k, 4] = 0.0
-                if len(record) > 0:
-                    record[k, 0] = record[k, 1] = record[k, 2] = record[k, 3] = 0.0
+                    memory[k, 0] = memory[k, 1] = memory[k, 2] = memory[k, 3] = memory[k, 4] = 0.0
+                    if len(record) > 0:
+                        record[k, 0] = record[k, 1] = record[k, 2] = record[k, 3] = 0.0
                 continue
-            work[count], work[L + count], work[2 * L + count] = dx, dy, dz
-            work[3 * L + count], work[4 * L + count] = r, s
+            work[count], work[count + full] = dx, dy
+            work[count + np.uint64(2 * L)], work[count + np.uint64(3 * L)], work[count + np.uint64(4 * L)] = dz, r, s
             for c in range(3):
-                work[(5 + c) * L + count] = motion[a, c] - motion[b, c]
-                work[(8 + c) * L + count] = motion[a, 3 + c]
-                work[(11 + c) * L + count] = motion[b, 3 + c]
+                work[count + np.uint64((5 + c) * L)] = motion[a, c] - motion[b, c]
+                work[count + np.uint64((8 + c) * L)] = motion[a, 3 + c]
+                work[count + np.uint64((11 + c) * L)] = motion[b, 3 + c]
             for c in range(5):
-                work[(24 + c) * L + count] = memory_old[k, c]
+                work[count + np.uint64((24 + c) * L)] = memory_old[k, c]
             law = kind[k]
             if filled[count] != law:
                 filled[count] = law
                 for c in range(9):
-                    work[(29 + c) * L + count] = table[law, c]
+                    work[count + np.uint64((29 + c) * L)] = table[law, c]
             first[count], second[count], row[count] = a, b, k
-            count += 1
+            count += one
             touching += 1
-            if count == L:
-                _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, record)
-                count = 0
-    _pairs_done(count, first, second, row, work, dt, inverse_dt, memory, force, record)
+            if count == full:
+                _pairs_done(L, first, second, row, work, dt, inverse_dt, memory, force, record)
+                count = np.uint64(0)
+    _pairs_done(np.int64(count), first, second, row, work, dt, inverse_dt, memory, force, record)
     out[0] += lost
     out[2] = touching
     if _total(work, out):
@@ -347,7 +381,7 @@ def face_forces(
                 out[3] = k + 1
 
 
-@kernel
+@kernel(inline=True)
 def _face_done(i, k, a, work, memory, force, push, record):
     """Add what lane `i` says of the contact in row `k`, of the sphere at packed place `a`."""
     gx, gy, gz = work[L + i], work[2 * L + i], work[3 * L + i]
@@ -387,6 +421,19 @@ def ball_accelerate(f, inverse, a):
         m, i = inverse[b, 0], inverse[b, 1]
         a[b, 0], a[b, 1], a[b, 2] = m * f[b, 0], m * f[b, 1], m * f[b, 2]
         a[b, 3], a[b, 4], a[b, 5] = i * f[b, 3], i * f[b, 4], i * f[b, 5]
+
+
+@kernel
+def ball_kick(f, inverse, h, v):
+    """Add the accelerations of `ball_accelerate` over `h` [s] to the velocities v (n, 6)."""
+    for b in range(len(f)):
+        m, i = inverse[b, 0], inverse[b, 1]
+        v[b, 0] += h * (m * f[b, 0])
+        v[b, 1] += h * (m * f[b, 1])
+        v[b, 2] += h * (m * f[b, 2])
+        v[b, 3] += h * (i * f[b, 3])
+        v[b, 4] += h * (i * f[b, 4])
+        v[b, 5] += h * (i * f[b, 5])
 
 
 @kernel

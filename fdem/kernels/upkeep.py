@@ -9,6 +9,7 @@ import numpy as np
 from fdem._jit import kernel
 
 FLAT, AJAR = 16, 64  # bits of a patch's flags, see kernels/patches.py
+CLOSED = 1e-12  # of the master's size: depth of a corner that has closed, and does not just lie in the plane
 
 
 @kernel
@@ -56,7 +57,8 @@ def closing(gp, pair, flags, start, corners, offset, x, out):
         d1 = (nx * (x[a, 0] - x[q, 0]) + ny * (x[a, 1] - x[q, 1]) + nz * (x[a, 2] - x[q, 2])) / scale - offset[i, 1]
         d2 = (nx * (x[a, 0] - x[r, 0]) + ny * (x[a, 1] - x[r, 1]) + nz * (x[a, 2] - x[r, 2])) / scale - offset[i, 2]
         for k in range(start[i], start[i + 1]):
-            if d0 * (1.0 - corners[k, 0] - corners[k, 1]) + d1 * corners[k, 0] + d2 * corners[k, 1] > 0.0:
+            depth = d0 * (1.0 - corners[k, 0] - corners[k, 1]) + d1 * corners[k, 0] + d2 * corners[k, 1]
+            if depth > CLOSED * math.sqrt(scale):
                 out[pair[i]] = 1
                 found = True
                 break
