@@ -78,7 +78,8 @@ def rows() -> None:
     whole[3] = np.full_like(p.offset, -1e-5)
     half[3] = p.offset.copy()
     low = np.zeros((len(p), 3))
-    footprints.measure(p.gp, p.start, p.corners, p.offset, x, *np.zeros((4, len(p))), low, np.zeros((len(p), 3)))
+    points, sizes, centre = np.zeros_like(p.ref_points), np.zeros((5, len(p))), np.zeros((len(p), 3))
+    footprints.measure(p.gp, p.start, p.corners, p.offset, x, points, *sizes, low, centre)
     half[3][:] = low - 1e-5 * np.array([1.0, 0.2, -1.0])  # zero depth runs through every patch
 
     def project(chosen: list[np.ndarray]) -> Callable[[], None]:
@@ -88,8 +89,8 @@ def rows() -> None:
                     *chosen, x, p.active_old, p.memory_old, contacts._points, contacts._active, *contacts._closed
                 )
                 kernels.fill_rows(
-                    p.gp, p.flags, p.pair, contacts._thick, x, sim.state.x_old, contacts._points, contacts._active,
-                    *contacts._rows,
+                    p.gp, p.pair, contacts._cluster, contacts._thick, x, sim.state.x_old, contacts._points,
+                    contacts._active, *contacts._rows,
                 )  # fmt: skip
 
         return run

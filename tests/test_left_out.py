@@ -13,6 +13,8 @@ import pytest
 from scenes import quietly, simulation
 
 import fdem
+from fdem.blocks import bounds
+from fdem.contact import table
 
 ROOT = Path(__file__).parent.parent
 ROCK = fdem.Elastic(density=2500.0, young=1e9, poisson=0.2)
@@ -58,6 +60,8 @@ def test_describe_says_what_is_left_out(kind):
 RUN = """
 import sys, warnings
 import fdem
+from fdem.blocks import bounds
+from fdem.contact import table
 warnings.simplefilter("ignore")
 scene = fdem.Scene()
 scene.add(fdem.brick((-1, -1, -1), (9, 2, 0)), fdem.Rigid(), fixed=True, name="base")
@@ -90,6 +94,8 @@ COMPILED = """
 import sys
 from pathlib import Path
 import fdem
+from fdem.blocks import bounds
+from fdem.contact import table
 import examples.incline as incline
 fdem.Simulation.plot = lambda *a, **k: None
 incline.main(Path(sys.argv[1]))
@@ -137,6 +143,31 @@ def test_a_first_start_compiles_no_helper_twice_nor_those_of_other_bodies(tmp_pa
     assert "clipping._cut" in found
     others = ("clipping._rival", "clipping._owns", "clipping._upright", "clipping._near", "geometry._sort")
     assert not set(others) & set(found)
+
+
+def test_stiffness_by_numpy_is_that_of_the_kernels(monkeypatch):
+    """Both of joints as rigid blocks feel them, to the last bit, and of gridpoints, to the order of sums."""
+    scene = fdem.Scene()
+    scene.add(fdem.brick((0, 0, 0), (2, 2, 1)), fdem.Rigid(), fdem.Elastic(2500.0), fixed=True)
+    for x in (0.1, 1.1):
+        scene.add(fdem.brick((x, 0.1, 1), (x + 1, 1.3, 2)), fdem.Rigid(), fdem.Elastic(2500.0))
+        scene.add(fdem.brick((x, 0.2, 2), (x + 1, 1.1, 3)), fdem.UniformStrain(), fdem.Elastic(2500.0, 1e9, 0.2))
+    scene.joint(fdem.Coulomb(kn=1e9, ks=5e8, friction=30))
+    sim = fdem.Simulation(scene, fdem.Explicit(), progress=False)
+    contacts, x = sim.system.contacts, sim.state.x
+    rows, block = contacts.stiffness(x), np.repeat(np.arange(5), 8)
+    place, mobile = np.array([-1, 0, -1, 1, -1]), np.arange(5) > 0
+    centre = np.array([x[block == b].mean(axis=0) for b in (1, 3)])
+    found = []
+    for few in (10**6, 0):
+        monkeypatch.setattr(bounds, "FEW", few)
+        monkeypatch.setattr(table, "FEW", few)
+        joints = bounds.joint_stiffness(rows, x, block, mobile, place, centre)
+        found.append((joints, contacts.potential_k_gp(x, mobile[block])))
+    assert found[0][0].any()
+    assert found[0][1].any()
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_allclose(found[0][1], found[1][1], rtol=1e-14)
 
 
 def test_rigid_blocks_have_no_strain_and_spheres_no_orientation(monkeypatch):

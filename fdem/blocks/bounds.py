@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from fdem.kernels import blocks as kernels
+
 __all__ = ["Springs", "joint_stiffness", "share"]
 
-CHUNK = 20_000  # rows whose matrices are made at a time
+FEW = 1000  # rows up to which NumPy spares the first start a kernel to compile
 
 
 @dataclass
@@ -95,25 +97,26 @@ def joint_stiffness(
     ``k (u_a - u_b)^2 <= 2 k u_a^2 + 2 k u_b^2``, so a joint between two blocks that move counts twice on both, and
     the largest frequency of any block on these springs is a bound of that of the whole.
     """
-    result = np.zeros(36 * len(centre))
-    for first in range(0, len(rows[0]), CHUNK):
-        some = [column[first : first + CHUNK] for column in rows]
-        row, owner, straight, shear, point = _springs(some, x, gp_block, mobile)
-        at = place[owner]
-        use = (at >= 0) & mobile[owner]
-        row, at = row[use], at[use]
-        ax, ay, az = (point[row] - centre[at]).T
-        turn = np.zeros((len(at), 3, 6))  # motion of the point: translation + rotation x arm
-        turn[:, range(3), range(3)] = 1.0
-        turn[:, 0, 4], turn[:, 1, 5], turn[:, 2, 3] = az, ax, ay
-        turn[:, 0, 5], turn[:, 1, 3], turn[:, 2, 4] = -ay, -az, -ax
-        along = sum(some[2][row, 0, d, None] * turn[:, d] for d in range(3))
-        dot = sum(turn[:, d, :, None] * turn[:, d, None] for d in range(3))
-        more, shear = (straight - shear)[row, None, None], shear[row, None, None]
-        springs = shear * dot + more * along[:, :, None] * along[:, None]
-        # row after row, as a sum of chunks would depend on their length
-        np.add.at(result, (36 * at[:, None] + np.arange(36)).ravel(), springs.ravel())
-    return result.reshape(-1, 6, 6)
+    if len(rows[0]) > FEW:
+        result = np.zeros((len(centre), 6, 6))
+        kernels.rigid_joints(*rows, x, gp_block, mobile, place, np.ascontiguousarray(centre), result)
+        return result
+    row, owner, straight, shear, point = _springs(rows, x, gp_block, mobile)
+    at = place[owner]
+    use = (at >= 0) & mobile[owner]
+    row, at = row[use], at[use]
+    ax, ay, az = (point[row] - centre[at]).T
+    turn = np.zeros((len(at), 3, 6))  # motion of the point: translation + rotation x arm
+    turn[:, range(3), range(3)] = 1.0
+    turn[:, 0, 4], turn[:, 1, 5], turn[:, 2, 3] = az, ax, ay
+    turn[:, 0, 5], turn[:, 1, 3], turn[:, 2, 4] = -ay, -az, -ax
+    along = sum(rows[2][row, 0, d, None] * turn[:, d] for d in range(3))
+    dot = sum(turn[:, d, :, None] * turn[:, d, None] for d in range(3))
+    more, shear = (straight - shear)[row, None, None], shear[row, None, None]
+    few: np.ndarray = np.zeros((len(centre), 6, 6))
+    np.add.at(few, at, shear * dot + more * along[:, :, None] * along[:, None])
+    few = np.where(np.tri(6, dtype=bool), few, few.transpose(0, 2, 1))  # symmetric to the last bit, as by the kernel
+    return few
 
 
 def _springs(

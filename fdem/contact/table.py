@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fdem.contact import response
 from fdem.contact.corners import felt_areas
 from fdem.contact.laws import COMMON
-from fdem.kernels import joints
+from fdem.kernels import joints, upkeep
 from fdem.kernels import patches as kernels
 
 if TYPE_CHECKING:
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["contact_table", "frames", "potential_k_gp", "preload", "stiffness", "whole_points"]
 
 Array = NDArray[np.float64]
+
+FEW = 300  # patches up to which NumPy spares the first start kernels to compile
 
 
 def frames(normal: Array) -> Array:
@@ -44,9 +46,13 @@ def _face_normals(gp: Any, x: Array, side: int) -> Array:
 
 def _areas(c: Contacts, x: Array) -> Array:
     """Areas (n,) of whole patches [m2]."""
+    if len(c.patches) > FEW:
+        out: Array = np.zeros(len(c.patches))
+        upkeep.whole_areas(c.patches.gp, c.patches.ref_ratio, x, out)
+        return out
     double = np.sqrt((_face_normals(c.patches.gp, x, 0) ** 2).sum(axis=1))
-    out: Array = 0.5 * c.patches.ref_ratio * double
-    return out
+    few: Array = 0.5 * c.patches.ref_ratio * double
+    return few
 
 
 def whole_points(p: Patches, x: Array) -> Array:
@@ -113,6 +119,9 @@ def _spread(gp: Any, w: Array, stiffness: Array, mobile: Any, soft: Any, out: Ar
     ``(sum w u)^2 <= sum |w| * sum |w| u^2``; two mobile sides double it. For affine blocks (`soft` (n, 2) == 0) the
     stiffness is only distributed over the gridpoints, their weights do not multiply it.
     """
+    if len(gp) > FEW:
+        upkeep.gridpoint_stiffness(gp, w, stiffness, mobile, soft.astype(np.uint8), out)
+        return
     gp, soft, size = np.repeat(gp, 3, axis=0), np.repeat(soft, 3, axis=0), np.abs(w)
     total = np.column_stack([size[:, 0] + size[:, 1] + size[:, 2], size[:, 3] + size[:, 4] + size[:, 5] + size[:, 6]])
     scale = np.where(soft != 0, total, 1.0 / total)

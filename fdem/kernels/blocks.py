@@ -11,7 +11,7 @@ import numpy as np
 
 from fdem._jit import kernel
 
-__all__ = ["rigid_accelerate", "rigid_advance", "rigid_place", "rigid_pull", "rigid_push"]
+__all__ = ["rigid_accelerate", "rigid_advance", "rigid_joints", "rigid_place", "rigid_pull", "rigid_push"]
 
 
 @kernel
@@ -285,3 +285,61 @@ def rigid_advance(q, v, dt, moments, axes):
             A = _principal(q, axes, b)
             p1, p2, p3 = _along(A, lx, ly, lz)
         v[b, 3], v[b, 4], v[b, 5] = _spin(A, j1, j2, j3, lx, ly, lz)
+
+
+@kernel
+def _add_spring(point, centre, normal, straight, shear, turn, along, out):
+    """Add a spring at `point` (normal stiffness `straight`, shear stiffness `shear`) to the (6, 6) matrix `out`.
+
+    Scratch: `turn` (3, 6), motion of the point by translation (unit matrix) and rotation x arm; `along` (6,).
+    """
+    ax, ay, az = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    turn[0, 4], turn[1, 5], turn[2, 3] = az, ax, ay
+    turn[0, 5], turn[1, 3], turn[2, 4] = -ay, -az, -ax
+    for i in range(6):
+        along[i] = normal[0] * turn[0, i] + normal[1] * turn[1, i] + normal[2] * turn[2, i]
+        for j in range(i + 1):
+            dot = turn[0, i] * turn[0, j] + turn[1, i] * turn[1, j] + turn[2, i] * turn[2, j]
+            out[i, j] += shear * dot + (straight - shear) * along[i] * along[j]
+            out[j, i] = out[i, j]
+
+
+@kernel
+def rigid_joints(gp, w, frame, kn, ks, x, gp_block, mobile, place, centre, out):
+    """Stiffness (n_rigid, 6, 6) of contact rows against motions of each rigid block, twice between two mobile ones.
+
+    ========  ============  ==================================================
+    gp, w     (n, 7)        gridpoints and weights: three of the slave, four of the master
+    frame     (n, 3, 3)     first row the normal of the master face
+    kn, ks    (n,)          stiffness [N/m]; the larger all round where the faces are not parallel within 8 degrees
+    x         (n_gp, 3)     positions [m]
+    gp_block  (n_gp,)       block of each gridpoint
+    mobile    (n_blocks,)   whether the block can move
+    place     (n_blocks,)   place among the rigid blocks, -1: none
+    centre    (n_rigid, 3)  centroids [m]
+    out       (n_rigid, 6, 6)  added to
+    ========  ============  ==================================================
+    """
+    point, own, turn, along = np.zeros(3), np.zeros(3), np.eye(3, 6), np.zeros(6)
+    for row in range(len(gp)):
+        sides = gp_block[gp[row, 0]], gp_block[gp[row, 3]]
+        for d in range(3):
+            point[d] = w[row, 0] * x[gp[row, 0], d] + w[row, 1] * x[gp[row, 1], d] + w[row, 2] * x[gp[row, 2], d]
+            own[d] = 0.0
+        for d in range(3):
+            i, j = (d + 1) % 3, (d + 2) % 3
+            ei, ej = x[gp[row, 1], i] - x[gp[row, 0], i], x[gp[row, 1], j] - x[gp[row, 0], j]
+            fi, fj = x[gp[row, 2], i] - x[gp[row, 0], i], x[gp[row, 2], j] - x[gp[row, 0], j]
+            own[d] = ei * fj - ej * fi
+        normal = frame[row, 0]
+        cosine = abs(own[0] * normal[0] + own[1] * normal[1] + own[2] * normal[2])
+        size = np.sqrt(own[0] * own[0] + own[1] * own[1] + own[2] * own[2])
+        straight, shear = kn[row], ks[row]
+        if cosine <= 0.99 * size:
+            straight = shear = max(kn[row], ks[row])
+        twice = 2.0 if mobile[sides[0]] and mobile[sides[1]] else 1.0
+        for side in sides:
+            if place[side] >= 0 and mobile[side]:
+                _add_spring(
+                    point, centre[place[side]], normal, twice * straight, twice * shear, turn, along, out[place[side]]
+                )

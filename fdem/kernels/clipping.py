@@ -502,16 +502,16 @@ def clip_faces(
     """
     n_pairs, room = len(master), 4 * max_corners + 64
     poly, tmp, part, bufs = np.empty((room, 2)), np.empty((room, 2)), np.empty((room, 2)), np.empty((64, room, 2))
-    work, too_deep = np.zeros(64, np.int64), np.zeros(n_pairs, np.uint8)
+    work, miss, too_deep = np.empty(64, np.int64), np.empty(n_pairs), np.empty(n_pairs, np.uint8)
     xs, box, df, dg, v, o = np.empty((3, 3)), np.empty((2, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    most_out, most_corners = 64, 512
+    miss_face, most_out, most_corners = np.empty((n_pairs, 2), np.int32), 64, 512
     if search is None:  # one piece each, to which every plane adds one corner at most
         most_out, most_corners = len(faces), (2 * max_corners + FEW + 2) * len(faces)
     key, margins, corners = np.empty((most_out, 4), np.int32), np.empty(most_out), np.empty((most_corners, 2))
-    miss, miss_face = np.full(n_pairs, np.inf), np.full((n_pairs, 2), -1, np.int32)
     cells, n_out, n_corners = (corner_start, corner_x, normal, wall, kind), 0, np.int64(0)
     for p in range(n_pairs):
         m, h, snap = master[p], window[p], SNAP * size[p]
+        miss[p], miss_face[p, 0], miss_face[p, 1], too_deep[p] = np.inf, -1, -1, 0
         bent = convex is not None and not convex[m]
         prove = bent and not is_open[m]
         for row in range(pair_start[p], pair_start[p + 1]):

@@ -380,7 +380,8 @@ def face_pairs(
         n_rows += (face_start[slave[p] + 1] - face_start[slave[p]]) * (
             face_start[master[p] + 1] - face_start[master[p]]
         )
-    start, out = np.zeros(n_pairs + 1, np.int64), np.empty((max(n_rows, 1024), 2), np.int32)
+    start, out = np.empty(n_pairs + 1, np.int64), np.empty((max(n_rows, 1024), 2), np.int32)
+    start[0] = 0
     around = np.empty((n_pairs, 2, 3))
     near, found = np.empty(64, np.int32), np.empty(64, np.int32)
     lo, hi, low, high = np.empty(3), np.empty(3), np.empty(3), np.empty(3)

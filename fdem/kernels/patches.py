@@ -94,7 +94,7 @@ def fill_rows(
     """
     pair_area[:] = 0.0
     cluster_normal[:] = 0.0
-    tet, du = np.empty(12), np.zeros((4, 3))
+    tet, du = np.empty(12), np.empty((4, 3))
     unaligned, moving, p, q, r, t = False, False, -1, -1, -1, -1
     for i in range(len(gp)):
         if active[i] == 0:

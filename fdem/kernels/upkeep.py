@@ -120,6 +120,40 @@ def prune(local, facing, area, closed, margin, share, keep, largest, largest_clo
 
 
 @kernel
+def whole_areas(gp, ratio, x, out):
+    """Area (n,) [m2] of whole patches, `ratio` (n,) being their share of the slave's reference triangle."""
+    for i in range(len(gp)):
+        a, b, c = gp[i, 0], gp[i, 1], gp[i, 2]
+        ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        vx, vy, vz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        out[i] = 0.5 * ratio[i] * math.sqrt(nx * nx + ny * ny + nz * nz)
+
+
+@kernel
+def gridpoint_stiffness(gp, w, stiffness, mobile, soft, out):
+    """Upper bound of the contact stiffness of gridpoints [N/m] for whole patches.
+
+    ``(sum w u)^2 <= sum |w| * sum |w| u^2``; two mobile sides double it. For affine blocks (`soft` (n, 2) == 0) the
+    stiffness is only distributed over the gridpoints, their weights do not multiply it.
+    """
+    for i in range(len(gp)):
+        both = 1.0
+        if mobile[gp[i, 0]] and mobile[gp[i, 3]]:
+            both = 2.0
+        for row in range(3 * i, 3 * i + 3):
+            for side in range(2):
+                lo, hi = 3 * side, 3 + 4 * side
+                total = 0.0
+                for k in range(lo, hi):
+                    total += abs(w[row, k])
+                scale = total if soft[i, side] else 1.0 / total
+                for k in range(lo, hi):
+                    if mobile[gp[i, k]]:
+                        out[gp[i, k]] += both * stiffness[row] * scale * abs(w[row, k])
+
+
+@kernel
 def _touch(place, a, b, c, d, reach2):
     """Whether a corner of the polygon ``place[a:b]`` lies within sqrt(reach2) of the border of ``place[c:d]``."""
     for i in range(a, b):
