@@ -209,7 +209,7 @@ def columns(body, extra):
 def test_nothing_is_computed_for_fixed_blocks(kind):
     """1000 fixed blocks more: the same unknowns, motion and batches, and a step that costs the same.
 
-    In processor time, the least of several runs by turns: 1.08 times, most of it for clearing the forces of 8000
+    In processor time, the median of ratios of runs by turns: 1.08 times, most of it for clearing the forces of 8000
     gridpoints; it was 1.6 times when every step looked whether fixed blocks had moved. A busy machine is given room.
     """
     few, many = (columns(KINDS[kind], extra) for extra in (0, 1000))
@@ -225,4 +225,4 @@ def test_nothing_is_computed_for_fixed_blocks(kind):
             start = time.process_time()
             sim.cycle(steps)
             spent.append((time.process_time() - start) / steps)
-    assert min(times[many]) <= 1.35 * min(times[few])
+    assert np.median(np.divide(times[many], times[few])) <= 1.35
