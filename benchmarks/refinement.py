@@ -84,7 +84,7 @@ def spent(sim: fdem.Simulation) -> dict[str, float]:
 def measure(pieces: list[Any], size: float | None) -> dict[str, Any]:
     """One line."""
     start = fdem.Simulation(scene(pieces, size), fdem.Relaxation(), energy=False, progress=False)
-    start.cycle(300)
+    start.cycle(100)
     sim = fdem.Simulation(start.scene, fdem.Explicit(), start=start, energy=False, progress=False)
     sim.cycle(3)
     times, contacts = spent(sim), sim.system.contacts
