@@ -31,21 +31,18 @@ def _numba() -> Any:
         import numba
         from numba.core import event
 
-    class Pause(event.Listener):  # type: ignore[misc]
-        depth, held = 0, held_off()
+    was_on: list[bool] = []  # one entry for every compilation inside another
 
-        def on_start(self, _: Any) -> None:
-            if self.depth == 0:
-                self.held = held_off()
-                self.held.__enter__()
-            self.depth += 1
+    def on_start(_listener: Any, _event: Any) -> None:
+        was_on.append(gc.isenabled())
+        gc.disable()
 
-        def on_end(self, _: Any) -> None:
-            self.depth -= 1
-            if self.depth == 0:
-                self.held.__exit__(None, None, None)
+    def on_end(_listener: Any, _event: Any) -> None:
+        if was_on.pop():
+            gc.enable()
 
-    event.register("numba:compile", Pause())
+    pause = type("Pause", (event.Listener,), {"on_start": on_start, "on_end": on_end})
+    event.register("numba:compile", pause())
     return numba
 
 

@@ -194,7 +194,7 @@ def test_an_impact_gives_its_energy_back(speed):
         sim.run(time=2e-3 / speed + 2e-3)
         closures.append(sim.energy.closure)
         # no oracle: the joint stiffens within a few steps; 1.3 % at the longest of them
-        assert sim[block].velocity[2] == pytest.approx(speed, rel=0.02 if safety == 0.2 else 0.01)
+        assert sim[block].velocity[2] == pytest.approx(speed, rel=0.014 if safety == 0.2 else 0.01)
     assert closures[1] < 0.01
 
 

@@ -109,9 +109,7 @@ def render(
     """
     try:
         with held_off():
-            import pyvista as pv
-
-            pv.Plotter  # noqa: B018  (loaded where first named)
+            from pyvista import Plotter
     except ImportError:
         raise UnsupportedError("plot needs pyvista: pip install 'fdem[plot]'") from None
     size = _fit_window(layers, direction, window_size)
@@ -121,7 +119,7 @@ def render(
                 "plot: this machine cannot render (no OpenGL by display, EGL or OSMesa); "
                 "on Debian: apt install libegl1 libgl1-mesa-dri, or libosmesa6"
             )
-        plotter = pv.Plotter(off_screen=True, window_size=list(size), lighting="none")
+        plotter = Plotter(off_screen=True, window_size=list(size), lighting="none")
         try:
             return _draw(plotter, layers, direction, parallel, size)
         finally:
