@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,22 +32,25 @@ class Level:
 
     def __init__(self, system: Any, level: int, internal: list[Callable[..., None]]) -> None:
         self.level, self.every = level, 2**level
-        self._system, self._internal = system, internal
-        state = system.state
+        state, self._system = system.state, system
         self._forces = np.zeros_like(state.forces)
-        self._f, self._f_gp = self._forces[: len(state.f)], self._forces[-state.f_gp.size :].reshape(-1, 3)
-        self._pulled = [batch for batch in system.model.batches if not batch.in_place]
+        f, self._f_gp = self._forces[: len(state.f)], self._forces[-state.f_gp.size :].reshape(-1, 3)
+        self._terms: list[Callable[[], None]] = []
+        if system.contacts is not None:
+            self._terms.append(self._joints)
+            pulled = [batch for batch in system.model.batches if not batch.in_place]
+            self._terms += [partial(batch.pull, state.q, self._f_gp, f) for batch in pulled]
+        self._terms += [partial(each, state.q, state.x, f) for each in internal]
+
+    def _joints(self) -> None:
+        system, state = self._system, self._system.state
+        system.contacts.act(self.level, state.x, state.x_old, self.every * system.dt, self._f_gp)
 
     def find(self) -> np.ndarray:
         """Forces (n,) of the present configuration, laid out as in `State.forces` [N, N m]."""
-        system, state = self._system, self._system.state
         self._forces.fill(0.0)
-        if system.contacts is not None:
-            system.contacts.act(self.level, state.x, state.x_old, self.every * system.dt, self._f_gp)
-            for batch in self._pulled:
-                batch.pull(state.q, self._f_gp, self._f)
-        for internal in self._internal:
-            internal(state.q, state.x, self._f)
+        for term in self._terms:
+            term()
         return self._forces
 
 
